@@ -1,0 +1,192 @@
+"""Trains the EvoGymCM paper's fixed robots with and without stiffness control (its Table I).
+
+    python benchmarks/run_suite.py --preset quick
+
+Each run trains one policy with PPO. Scores are those of the deterministic policy in a fresh world, summed without an
+episode's last step, as in the paper. The table shows the last policy's score; the best of training stands apart.
+"""
+
+import multiprocessing
+import queue
+import signal
+import sys
+import time
+import traceback
+from collections.abc import Iterator
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import tyro
+from _machine import commit, machine, usable_cores, versions
+from _report import plot, summarise, table
+from _suite import PRESETS, Job, Suite
+from tqdm import tqdm
+
+from evogymcm.algos import Progress, RunFolder, stop_on_interrupt
+
+
+@dataclass(frozen=True)
+class Options:
+    """Command line: a preset, and what to change in it.
+
+    Attributes:
+        preset: quick (Walker-v0, both arms, under 5 minutes on 2 cores), walker (Walker-v0 with stiffness control,
+            3 seeds, about as long), standard (6 tasks, 1 seed, 500,000 env-steps each), paper (6 tasks, 3 seeds,
+            1,000,000 env-steps each).
+        tasks: tasks instead of the preset's.
+        arms: "control-only", "co-optimisation" or both, instead of the preset's.
+        seeds: training seeds instead of the preset's.
+        total_steps: env-steps of each run instead of the preset's.
+        num_worlds: worlds simulated together instead of the preset's.
+        output: folder of the results; default runs/suite-PRESET.
+        processes: runs trained side by side; default one per core.
+        resume: go on with the runs in the folder.
+        overwrite: delete the runs in the folder first.
+    """
+
+    preset: Literal["quick", "walker", "standard", "paper"] = "quick"
+    tasks: tuple[str, ...] = ()
+    arms: tuple[str, ...] = ()
+    seeds: tuple[int, ...] = ()
+    total_steps: int | None = None
+    num_worlds: int | None = None
+    output: Path | None = None
+    processes: int | None = None
+    resume: bool = False
+    overwrite: bool = False
+
+    def suite(self) -> Suite:
+        """Returns the preset with the changes asked for."""
+        suite = PRESETS[self.preset]
+        ppo = {key: getattr(self, key) for key in ("total_steps", "num_worlds") if getattr(self, key) is not None}
+        changes = {key: getattr(self, key) for key in ("tasks", "arms", "seeds") if getattr(self, key)}
+        return replace(suite, ppo=replace(suite.ppo, **ppo), **changes)
+
+
+@dataclass(frozen=True)
+class _Link:
+    """What ties a worker process to the main one."""
+
+    news: Any  # queue of (run's name, env-steps, score or None)
+    stop: Any  # event
+
+
+_link: _Link | None = None
+
+
+def _start_worker(link: _Link) -> None:
+    """Prepares a worker; Ctrl-C is the main process's to handle."""
+    global _link
+    _link = link
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def _run_job(job: Job, folder: Path, resume: bool) -> dict[str, Any]:
+    """One run, in a worker."""
+    link = _link
+    assert link is not None
+
+    def tell(progress: Progress) -> None:
+        link.news.put((job.name, progress.env_steps, progress.row.get("score")))
+
+    return job.run(folder, resume, tell, link.stop.is_set)
+
+
+@contextmanager
+def _workers(count: int) -> Iterator[tuple[ProcessPoolExecutor, _Link]]:
+    """A pool of spawned processes and its link."""
+    context = multiprocessing.get_context("spawn")
+    link = _Link(context.Queue(), context.Event())
+    with ProcessPoolExecutor(count, context, _start_worker, (link,)) as pool:
+        yield pool, link
+
+
+def _news(link: _Link) -> Iterator[tuple[str, int, float | None]]:
+    """All that workers have told by now."""
+    while True:
+        try:
+            yield link.news.get_nowait()
+        except queue.Empty:
+            return
+
+
+def run_all(suite: Suite, folder: Path, processes: int, resume: bool) -> list[dict[str, Any]]:
+    """Runs every job of the suite and returns their records, those of stopped runs included, of failed ones not."""
+    jobs = suite.jobs()
+    per_run = -(-suite.ppo.total_steps // suite.ppo.frames_per_update) * suite.ppo.frames_per_update
+    pause = 0.1 if sys.stderr.isatty() else 30.0  # seconds between lines: a log file needs few
+    bar = tqdm(total=per_run * len(jobs), unit=" env-steps", unit_scale=True, smoothing=0.05, mininterval=pause)
+    steps: dict[str, int] = {}
+    with _workers(min(processes, len(jobs))) as (pool, link), bar, stop_on_interrupt() as is_stopped:
+        futures: dict[Future, Job] = {pool.submit(_run_job, job, folder, resume): job for job in jobs}
+        waiting = set(futures)
+        while waiting:
+            ended, waiting = wait(waiting, timeout=0.2, return_when=FIRST_COMPLETED)
+            for name, done, score in _news(link):
+                if name not in steps:
+                    bar.initial += done  # of an earlier sitting: no part of the rate
+                bar.update(done - steps.get(name, 0))
+                steps[name] = done
+                if score is not None:
+                    bar.set_postfix_str(f"{name}: score {score:.2f}", refresh=False)
+            for future in ended:  # the other runs go on
+                if not future.cancelled() and (error := future.exception()):
+                    bar.write("".join(traceback.format_exception(error)), file=sys.stderr)
+                    bar.write(f"{futures[future].name} failed.", file=sys.stderr)
+            if is_stopped() and not link.stop.is_set():
+                link.stop.set()
+                bar.write("Stopping after the present updates ...", file=sys.stderr)
+                for future in futures:
+                    future.cancel()
+    return [future.result() for future in futures if not future.cancelled() and future.exception() is None]
+
+
+def _try_to_plot(runs: list[dict[str, Any]], path: Path) -> None:
+    """Draws the figure where matplotlib is installed."""
+    try:
+        plot(runs, path)
+    except ModuleNotFoundError:
+        print("No figure: it needs matplotlib (pip install evogymcm[render]).", file=sys.stderr)
+
+
+def main(options: Options) -> int:
+    """Runs the suite, writes results.json and curves.png into the run folder and prints the table."""
+    suite = options.suite()
+    folder = options.output or Path("runs") / f"suite-{options.preset}"
+    try:
+        run = RunFolder(folder, asdict(suite), resume=options.resume, overwrite=options.overwrite)
+    except (FileExistsError, ValueError) as error:
+        print(f"{error} (--resume, --overwrite)", file=sys.stderr)
+        return 2
+    processes = options.processes or usable_cores()
+    start = time.perf_counter()
+    runs = run_all(suite, folder, processes, options.resume)
+    rows = summarise(runs)
+    run.write_json(
+        "results.json",
+        {
+            "suite": asdict(suite),
+            "processes": processes,
+            "machine": machine(),
+            "versions": versions(),
+            "commit": commit(),
+            "wall_seconds": time.perf_counter() - start,
+            "summary": rows,
+            "runs": runs,
+        },
+    )
+    if runs:
+        _try_to_plot(runs, folder / "curves.png")
+    print(table(rows))
+    print(f"Results: {folder.resolve()}")
+    is_complete = len(runs) == len(suite.jobs()) and all(record["finished"] for record in runs)
+    if not is_complete:
+        print("Not finished; go on with --resume.")
+    return 0 if is_complete else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main(tyro.cli(Options)))

@@ -1,0 +1,142 @@
+"""Run folders: settings, a table that grows, checkpoints; safe against interruption at any moment."""
+
+import json
+import math
+import os
+import shutil
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import torch
+
+__all__ = ["RunFolder", "stop_on_interrupt", "write_atomic"]
+
+_CONFIG, _TABLE = "config.json", "curve.jsonl"
+_SAME_PRESS = 0.5  # seconds; launchers may pass one Ctrl-C on twice
+
+
+def write_atomic(path: Path, write: Callable[[Path], object]) -> None:
+    """Lets `write` make a file and puts it at `path` in one step: readers see the old file or the new one, whole."""
+    part = path.with_name(f".{path.name}.part")
+    write(part)
+    with part.open("rb+") as file:
+        os.fsync(file.fileno())
+    part.replace(path)
+
+
+def _plain(value: Any) -> Any:
+    """`value` as JSON knows it: tuples become lists, numbers that JSON lacks (NaN, infinity) become null."""
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+class RunFolder:
+    """A folder that holds one run: `config.json`, the table `curve.jsonl`, and named checkpoints (`*.pt`).
+
+    Args:
+        path: the folder, made if it does not exist.
+        config: settings of the run, of JSON types, saved and compared when resuming.
+        resume: go on with an existing run of equal settings.
+        overwrite: delete an existing run first.
+
+    Raises:
+        FileExistsError: if the folder exists and neither flag is given, or it is not a run folder.
+        ValueError: if both flags are given, or the settings differ from those of the run to resume.
+    """
+
+    def __init__(
+        self, path: str | Path, config: Mapping[str, Any], *, resume: bool = False, overwrite: bool = False
+    ) -> None:
+        self.path = Path(path)
+        config = _plain(config)
+        if resume and overwrite:
+            raise ValueError("resume and overwrite: only one of them can be set")
+        if self.path.exists() and any(self.path.iterdir()):
+            if not (self.path / _CONFIG).is_file():
+                raise FileExistsError(f"{self.path} exists and is not a run folder")
+            if overwrite:
+                shutil.rmtree(self.path)
+            elif resume:
+                self._check_same(config)
+            else:
+                raise FileExistsError(f"{self.path} exists; set resume to go on with it or overwrite to replace it")
+        self.path.mkdir(parents=True, exist_ok=True)
+        self.write_json(_CONFIG, config)
+
+    def _check_same(self, config: Mapping[str, Any]) -> None:
+        """Compares with the saved settings."""
+        saved = self.read_json(_CONFIG)
+        differing = sorted(key for key in saved.keys() | config.keys() if saved.get(key) != config.get(key))
+        if differing:
+            changes = "; ".join(f"{key}: got {config.get(key)}, the run has {saved.get(key)}" for key in differing)
+            raise ValueError(f"cannot resume {self.path} with other settings: {changes}")
+
+    def write_json(self, name: str, value: Any) -> None:
+        """Writes `value` to the file `name`, atomically."""
+        text = json.dumps(_plain(value), indent=2, allow_nan=False) + "\n"
+        write_atomic(self.path / name, lambda part: part.write_text(text, encoding="utf-8"))
+
+    def read_json(self, name: str) -> Any:
+        """Returns what `write_json` wrote."""
+        return json.loads((self.path / name).read_text(encoding="utf-8"))
+
+    def append(self, row: Mapping[str, Any]) -> None:
+        """Adds a row to the table."""
+        with (self.path / _TABLE).open("a", encoding="utf-8") as file:
+            file.write(json.dumps(_plain(row), allow_nan=False) + "\n")
+
+    def rows(self) -> list[dict[str, Any]]:
+        """Returns the table; a last row cut short by a crash is left out."""
+        table = self.path / _TABLE
+        if not table.exists():
+            return []
+        lines = table.read_text(encoding="utf-8").splitlines(keepends=True)
+        return [json.loads(line) for line in lines if line.endswith("\n")]
+
+    def keep_rows(self, count: int) -> None:
+        """Cuts the table back to its first `count` rows: what came after the checkpoint will be done again."""
+        text = "".join(json.dumps(row) + "\n" for row in self.rows()[:count])
+        write_atomic(self.path / _TABLE, lambda part: part.write_text(text, encoding="utf-8"))
+
+    def save(self, name: str, state: Mapping[str, Any]) -> None:
+        """Writes the checkpoint `name`, atomically; `state` holds tensors, numbers, text, lists and mappings."""
+        write_atomic(self.path / f"{name}.pt", lambda part: torch.save(dict(state), part))
+
+    def load(self, name: str) -> dict[str, Any] | None:
+        """Returns the checkpoint `name`, None if there is none."""
+        path = self.path / f"{name}.pt"
+        return torch.load(path, weights_only=True) if path.exists() else None
+
+
+@contextmanager
+def stop_on_interrupt() -> Iterator[Callable[[], bool]]:
+    """Turns the first Ctrl-C into a flag, so that work can end at a good moment; a second one interrupts as usual.
+
+    Yields:
+        A function that tells whether Ctrl-C came. Outside the main thread it never does.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield lambda: False
+        return
+    pressed: list[float] = []
+
+    def note(signum: int, frame: Any) -> None:
+        pressed.append(time.monotonic())
+        if pressed[-1] - pressed[0] > _SAME_PRESS:
+            raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGINT, note)
+    try:
+        yield lambda: bool(pressed)
+    finally:
+        signal.signal(signal.SIGINT, before)

@@ -1,0 +1,295 @@
+"""The training loop: rollouts, updates, evaluations, checkpoints."""
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, nullcontext
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torchrl.collectors import Collector
+from torchrl.envs import EnvBase
+
+from evogymcm.algos.actor import VoxelActor, make_actor
+from evogymcm.algos.critic import VoxelCritic, make_critic
+from evogymcm.algos.evaluate import Evaluation, evaluate
+from evogymcm.algos.ppo import PPOConfig, PPOLearner
+from evogymcm.algos.runs import RunFolder, stop_on_interrupt
+
+__all__ = ["EnvFactory", "Progress", "TrainResult", "Trainer", "train"]
+
+CHECKPOINT, BEST, FINAL = "checkpoint", "best", "final"
+
+
+class EnvFactory(Protocol):
+    """Makes environments, e.g. `functools.partial(SoftRobotEnv, "Walker-v0", bodies=body)`."""
+
+    def __call__(self, *, num_worlds: int, seed: int) -> EnvBase:
+        """Returns a fresh environment, batch size (num_worlds,)."""
+
+
+@dataclass(frozen=True)
+class Progress:
+    """State of a run, given to the caller after every update.
+
+    Attributes:
+        env_steps: done so far, in all worlds together.
+        total_steps: of the whole run.
+        seconds: spent so far, earlier sittings of a resumed run included.
+        row: newest row of the table: losses, mean reward, and scores where there was an evaluation.
+    """
+
+    env_steps: int
+    total_steps: int
+    seconds: float
+    row: dict[str, float]
+
+
+@dataclass(frozen=True)
+class TrainResult:
+    """Outcome of a run.
+
+    Attributes:
+        actor: the last policy.
+        critic: the last value function.
+        rows: the table, one row per update and one, with `env_steps` 0, for the untrained policy.
+        final: evaluation of the last policy; None if the run was stopped.
+        env_steps: done in all worlds together.
+        seconds: wall time of training and evaluations.
+        finished: False if the run was stopped before its end.
+    """
+
+    actor: VoxelActor
+    critic: VoxelCritic
+    rows: list[dict[str, Any]]
+    final: Evaluation | None
+    env_steps: int
+    seconds: float
+    finished: bool
+
+    @property
+    def best_score(self) -> float:
+        """Largest score among all evaluations of the run, as the EvoGymCM paper's fitness."""
+        return max(row["score"] for row in self.rows if "score" in row)
+
+
+class _WorldCollector(Collector):
+    """A collector whose state holds the live worlds too, so that a resumed run goes on within its episodes.
+
+    The environment's own state must come with its `state_dict` (`get_extra_state`); without, resuming restarts the
+    episodes.
+    """
+
+    _carrier: TensorDictBase
+
+    def state_dict(self) -> dict[str, Any]:
+        """Returns the environment's state and the policy's next input."""
+        return {"env": dict(self.env.state_dict()), "carrier": self._carrier.to_dict()}
+
+    def load_state_dict(self, state_dict: dict[str, Any], **kwargs: Any) -> None:
+        """Restores what `state_dict` returned."""
+        if not state_dict["env"]:
+            return
+        self.env.load_state_dict(state_dict["env"])
+        self._carrier = TensorDict(state_dict["carrier"], batch_size=self._carrier.batch_size)
+
+
+@contextmanager
+def _torch_threads(count: int) -> Iterator[None]:
+    """Sets torch's number of threads for a while."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(count)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
+
+
+class Trainer:
+    """One training run, advanced update by update.
+
+    Torch's global random state is left as it was: the run keeps its own.
+
+    Args:
+        make_env: makes the training environment and a fresh one for each evaluation.
+        config: settings of the run.
+    """
+
+    def __init__(self, make_env: EnvFactory, config: PPOConfig) -> None:
+        self.make_env, self.config = make_env, config
+        self.env_steps, self.seconds, self.best_score = 0, 0.0, -float("inf")
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(config.seed)
+            env = make_env(num_worlds=config.num_worlds, seed=config.seed)
+            self.actor = make_actor(env, config.hidden, config.initial_std)
+            self.critic = make_critic(env, config.hidden)
+            self.learner = PPOLearner(self.actor, self.critic, config)
+            self.collector = _WorldCollector(
+                env,
+                self.actor,
+                frames_per_batch=config.frames_per_update,
+                auto_register_policy_transforms=False,
+                track_traj_ids=False,
+            )
+            self._rng_state = torch.get_rng_state()
+
+    @contextmanager
+    def _own_randomness(self) -> Iterator[None]:
+        """Runs on the run's random state and keeps it."""
+        with torch.random.fork_rng(devices=[]):
+            torch.set_rng_state(self._rng_state)
+            yield
+            self._rng_state = torch.get_rng_state()
+
+    @property
+    def is_finished(self) -> bool:
+        """Whether all env-steps are done."""
+        return self.env_steps >= self.config.total_steps
+
+    def update(self) -> dict[str, float]:
+        """Collects one rollout, learns from it, and returns a row for the table."""
+        start = time.perf_counter()
+        with self._own_randomness(), _torch_threads(self.config.torch_threads):
+            rollout = self.collector.rollout()
+            if not self.env_steps:  # the first policy hardly depends on its inputs: they may be rescaled under it
+                self._observe(rollout)
+            row = self.learner.update(rollout, 1 - self.env_steps / self.config.total_steps)
+            if self.env_steps:  # after learning: the rollout's probabilities are those of the inputs' old scale
+                self._observe(rollout)
+        self.env_steps += rollout.numel()
+        self.seconds += time.perf_counter() - start
+        reward = rollout["next", "reward"].mean().item()
+        return {"env_steps": self.env_steps, "seconds": self.seconds, "reward": reward, **row}
+
+    def _observe(self, rollout: TensorDict) -> None:
+        """Updates the running normalisation from a quarter of the rollout's steps, spread over it."""
+        sample = rollout[:, ::4].select(*self.actor.in_keys)
+        self.actor.observe(sample)
+        self.critic.observe(sample)
+
+    def evaluate(self) -> Evaluation:
+        """Plays an episode in each world of a fresh environment with the present policy."""
+        start = time.perf_counter()
+        env = self.make_env(num_worlds=self.config.eval_worlds, seed=self.config.seed)
+        with _torch_threads(self.config.torch_threads):
+            result = evaluate(self.actor, env)
+        env.close(raise_if_closed=False)
+        self.seconds += time.perf_counter() - start
+        return result
+
+    def state_dict(self) -> dict[str, Any]:
+        """Returns all that is needed to go on: networks, optimiser, random state, live worlds, counters."""
+        return {
+            "learner": self.learner.state_dict(),
+            "worlds": self.collector.state_dict(),
+            "rng": self._rng_state,
+            "env_steps": self.env_steps,
+            "seconds": self.seconds,
+            "best_score": self.best_score,
+        }
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Restores what `state_dict` returned."""
+        self.learner.load_state_dict(state["learner"])
+        self.collector.load_state_dict(state["worlds"])
+        self._rng_state = state["rng"]
+        self.env_steps, self.seconds, self.best_score = state["env_steps"], state["seconds"], state["best_score"]
+
+    def close(self) -> None:
+        """Releases the environment."""
+        self.collector.shutdown()
+
+
+def train(
+    make_env: EnvFactory,
+    config: PPOConfig,
+    *,
+    run: RunFolder | None = None,
+    progress: Callable[[Progress], None] | None = None,
+    should_stop: Callable[[], bool] | None = None,
+) -> TrainResult:
+    """Trains a policy with PPO and returns it with its learning curve.
+
+    The same settings and seed give the same policy, whether or not the run was stopped and resumed in between.
+
+    Args:
+        make_env: makes environments, e.g. `functools.partial(SoftRobotEnv, "Walker-v0", bodies=body)`.
+        config: settings of the run.
+        run: where to keep the table and checkpoints: `checkpoint` (to go on from), `best` and `final` (policies, the
+            actor's weights with their row of the table). A folder opened to resume is gone on with. None keeps
+            everything in memory.
+        progress: called at the start (with the untrained policy's row, or the last one of a resumed run) and after
+            every update.
+        should_stop: asked after every update; the run then ends with a checkpoint. By default Ctrl-C stops it so.
+    """
+    trainer, rows = Trainer(make_env, config), []
+    saved = run.load(CHECKPOINT) if run else None
+    if run and saved:
+        trainer.load_state_dict(saved["trainer"])
+        run.keep_rows(saved["rows"])
+        rows = run.rows()
+        if progress:
+            progress(Progress(trainer.env_steps, config.total_steps, trainer.seconds, rows[-1]))
+    with stop_on_interrupt() if should_stop is None else nullcontext(should_stop) as is_stopped:
+        result = _loop(trainer, rows, run, progress, is_stopped)
+    trainer.close()
+    return result
+
+
+def _loop(
+    trainer: Trainer,
+    rows: list[dict[str, Any]],
+    run: RunFolder | None,
+    progress: Callable[[Progress], None] | None,
+    is_stopped: Callable[[], bool],
+) -> TrainResult:
+    """Updates until the end, with evaluations and checkpoints on the way."""
+    config = trainer.config
+
+    def record(row: dict[str, Any], evaluation: Evaluation | None) -> None:
+        if evaluation is not None:
+            row |= {**evaluation.summary(), "seconds": trainer.seconds}
+        rows.append(row)
+        if run:
+            run.append(row)
+        if run and evaluation is not None:
+            _save(trainer, row, len(rows), run)
+        if progress:
+            progress(Progress(trainer.env_steps, config.total_steps, trainer.seconds, row))
+
+    if not rows:
+        record({"env_steps": 0}, trainer.evaluate())
+    final = None
+    while not (trainer.is_finished or is_stopped()):
+        is_due = _is_due(trainer.env_steps, config)
+        row = trainer.update()
+        final = trainer.evaluate() if is_due or trainer.is_finished else None
+        record(row, final)
+    if not trainer.is_finished:
+        final = None
+        if run:
+            run.save(CHECKPOINT, {"trainer": trainer.state_dict(), "rows": len(rows)})
+    elif final is None:  # a run that had been finished before
+        final = trainer.evaluate()
+    return TrainResult(
+        trainer.actor, trainer.critic, rows, final, trainer.env_steps, trainer.seconds, trainer.is_finished
+    )
+
+
+def _save(trainer: Trainer, row: dict[str, Any], n_rows: int, run: RunFolder) -> None:
+    """Keeps the policy where it is the best or the last one, and the state to go on from."""
+    policy = {"actor": trainer.actor.state_dict(), "row": row}
+    if row["score"] > trainer.best_score:
+        trainer.best_score = row["score"]
+        run.save(BEST, policy)
+    if trainer.is_finished:
+        run.save(FINAL, policy)
+    run.save(CHECKPOINT, {"trainer": trainer.state_dict(), "rows": n_rows})
+
+
+def _is_due(env_steps: int, config: PPOConfig) -> bool:
+    """Whether the next update passes a multiple of the evaluation interval."""
+    if not config.eval_interval:
+        return False
+    return (env_steps + config.frames_per_update) // config.eval_interval > env_steps // config.eval_interval

@@ -1,0 +1,321 @@
+"""Voxel bodies: representation, text form, validation, sampling and mutation.
+
+The rules are EvoGym's; randomness comes from a numpy Generator that the caller owns.
+"""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import cache
+from pathlib import Path
+from typing import Any, Generic, TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from evogymcm._grid import (
+    BODY_CHARS,
+    EMPTY,
+    FIXED,
+    H_ACT,
+    RIGID,
+    SOFT,
+    V_ACT,
+    Connections,
+    Grid,
+    check_connections,
+    check_grid,
+    full_connections,
+    grid_from_rows,
+    grid_rows,
+    has_actuator,
+    is_connected,
+)
+
+__all__ = [
+    "EMPTY",
+    "FIXED",
+    "H_ACT",
+    "RIGID",
+    "SAMPLE_WEIGHTS",
+    "SOFT",
+    "STIFFNESS_HIGH",
+    "STIFFNESS_LOW",
+    "V_ACT",
+    "Body",
+    "as_body",
+    "check_stiffness",
+    "full_connections",
+    "has_actuator",
+    "is_connected",
+    "mutate_body",
+    "robot_tasks",
+    "robots",
+    "sample_body",
+]
+
+STIFFNESS_LOW, STIFFNESS_HIGH = 0.5, 2.0
+SAMPLE_WEIGHTS = (0.6, 0.2, 0.2, 0.2, 0.2)  # of empty, rigid, soft, horizontal and vertical actuator
+_MAX_DRAWS = 100_000
+
+
+class Body:
+    """An immutable robot body: a grid of voxels and the joints between them.
+
+    Two bodies are equal, and hash alike, when grid and connections agree; the order and repetition of
+    connections play no part. Empty border rows and columns are kept, since they shift where the robot starts.
+
+    Args:
+        grid: Cell codes 0 (empty) to 4 (vertical actuator) of shape (rows, cols), first row on top; or the same
+            as text, see `from_text`; or as a sequence of text rows.
+        connections: Pairs of flat row-major cell indices of shape (2, k); each joins two side-adjacent voxels.
+            By default all side-adjacent voxels are joined.
+
+    Raises:
+        ValueError: The grid is not 2-D or holds other codes, its voxels are not one piece under side adjacency,
+            none is an actuator, or a connection does not join two side-adjacent voxels.
+    """
+
+    __slots__ = ("_connections", "_grid", "_has_default_connections")
+
+    def __init__(self, grid: "str | Sequence[str] | ArrayLike", connections: ArrayLike | None = None) -> None:
+        self._grid = _as_body_grid(grid)
+        if not is_connected(self._grid):
+            raise ValueError(f"body {self.text!r}: its voxels must form one piece, joined side by side")
+        if not has_actuator(self._grid):
+            raise ValueError(f"body {self.text!r}: needs at least one actuator (H or V)")
+        full = full_connections(self._grid)
+        self._connections = full if connections is None else check_connections(connections, self._grid)
+        self._has_default_connections = np.array_equal(self._connections, full)
+        self._grid.flags.writeable = False
+        self._connections.flags.writeable = False
+
+    @classmethod
+    def from_text(cls, text: str) -> "Body":
+        """Returns the body written as rows of `. R S H V`, top row first, separated by '/' or newlines."""
+        return cls(text)
+
+    @property
+    def grid(self) -> Grid:
+        """Cell codes, int8 of shape (rows, cols), read-only."""
+        return self._grid
+
+    @property
+    def connections(self) -> Connections:
+        """Joined pairs of flat cell indices, int64 of shape (2, k), sorted, read-only."""
+        return self._connections
+
+    @property
+    def has_default_connections(self) -> bool:
+        """Whether all side-adjacent voxels are joined."""
+        return self._has_default_connections
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns of the grid."""
+        return self.rows, self.cols
+
+    @property
+    def rows(self) -> int:
+        """Rows of the grid."""
+        return self._grid.shape[0]
+
+    @property
+    def cols(self) -> int:
+        """Columns of the grid."""
+        return self._grid.shape[1]
+
+    @property
+    def text(self) -> str:
+        """The grid as text, such as "HHH/H.H"; `from_text` reads it back."""
+        return "/".join(grid_rows(self._grid))
+
+    @property
+    def occupancy(self) -> NDArray[np.bool_]:
+        """Where there is a voxel, of shape (rows, cols)."""
+        return self._grid != EMPTY
+
+    @property
+    def n_voxels(self) -> int:
+        """Number of occupied cells."""
+        return int(np.count_nonzero(self._grid))
+
+    @property
+    def actuators(self) -> NDArray[np.int64]:
+        """Flat indices of the actuators, row-major: the order of the actions."""
+        return np.flatnonzero((self._grid == H_ACT) | (self._grid == V_ACT)).astype(np.int64)
+
+    @property
+    def n_actuators(self) -> int:
+        """Number of actuators."""
+        return len(self.actuators)
+
+    def _key(self) -> tuple[tuple[int, int], bytes, bytes]:
+        return self.shape, self._grid.tobytes(), self._connections.tobytes()
+
+    def __eq__(self, other: object) -> bool:
+        return self._key() == other._key() if isinstance(other, Body) else NotImplemented
+
+    def __hash__(self) -> int:
+        return hash(self._key())
+
+    def __repr__(self) -> str:
+        connections = "" if self._has_default_connections else f", connections={self._connections.tolist()}"
+        return f"Body({self.text!r}{connections})"
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Body, (self._grid, self._connections)
+
+
+def as_body(spec: "Body | str | Sequence[str] | ArrayLike") -> Body:
+    """Returns the body meant by a Body, cell codes, text rows, or the name of one of `robots`.
+
+    Raises:
+        ValueError: A name is unknown, or what is described is not a valid body.
+    """
+    if isinstance(spec, Body):
+        return spec
+    if isinstance(spec, str) and not set("".join(spec.split())) <= set(f"{BODY_CHARS}/"):
+        if spec not in robots:
+            raise ValueError(f"body {spec!r}: neither rows of {BODY_CHARS!r} nor one of {', '.join(robots)}")
+        return robots[spec]
+    return Body(spec)
+
+
+def check_stiffness(stiffness: ArrayLike | None, body: Body) -> NDArray[np.float64]:
+    """Returns a new stiffness field of the body's shape, with ones on its empty cells.
+
+    Args:
+        stiffness: Factors in [0.5, 2] of shape (rows, cols), first row on top. Values on empty cells are ignored.
+            None means one everywhere.
+        body: The body that it belongs to.
+
+    Raises:
+        ValueError: The shape is not the body's, or a voxel's factor is outside [0.5, 2] or not a number.
+    """
+    if stiffness is None:
+        return np.ones(body.shape)
+    field = np.array(stiffness, dtype=np.float64)
+    if field.shape != body.shape:
+        raise ValueError(f"stiffness: got shape {field.shape}, expected the body's {body.shape}")
+    field[~body.occupancy] = 1.0
+    if not np.all((field >= STIFFNESS_LOW) & (field <= STIFFNESS_HIGH)):
+        raise ValueError(
+            f"stiffness: got values from {field.min()} to {field.max()}, "
+            f"allowed are {STIFFNESS_LOW} to {STIFFNESS_HIGH}"
+        )
+    return field
+
+
+def _as_body_grid(grid: "str | Sequence[str] | ArrayLike") -> Grid:
+    """Returns the cell codes of any form of grid that `Body` takes."""
+    if isinstance(grid, str):
+        grid = grid.strip().replace("\n", "/").split("/")
+    if isinstance(grid, list | tuple) and grid and all(isinstance(row, str) for row in grid):
+        return grid_from_rows([row.strip() for row in grid], BODY_CHARS)
+    return check_grid(grid, len(BODY_CHARS))
+
+
+def sample_body(shape: tuple[int, int], rng: np.random.Generator, weights: Sequence[float] = SAMPLE_WEIGHTS) -> Body:
+    """Returns a random valid body: all cells are drawn independently, again and again until valid (EvoGym).
+
+    Args:
+        shape: Rows and columns.
+        rng: Source of randomness.
+        weights: Relative frequencies of the codes 0 to 4.
+
+    Raises:
+        ValueError: The weights are not five numbers >= 0 with one above 0 for an actuator, or so many draws were
+            invalid that these weights will hardly ever give a body of this shape.
+    """
+    if len(shape) != 2 or min(shape) < 1:
+        raise ValueError(f"shape: got {shape}, expected (rows, cols), both at least 1")
+    thresholds = _thresholds(weights)
+    for _ in range(_MAX_DRAWS):
+        grid = _draw(thresholds, rng, shape)
+        if _is_valid(grid):
+            return Body(grid)
+    raise ValueError(f"weights {tuple(weights)}: none of {_MAX_DRAWS} draws of shape {shape} was a valid body")
+
+
+def mutate_body(body: Body, rng: np.random.Generator, rate: float = 0.1, attempts: int = 50) -> Body | None:
+    """Returns a mutated body with full connections, or None where no attempt was valid (EvoGym).
+
+    Each attempt draws each cell anew with probability `rate`, possibly to the value that it had. Attempts
+    accumulate, as in EvoGym: after an invalid one, the next mutates the invalid grid further.
+
+    Args:
+        body: The parent.
+        rng: Source of randomness.
+        rate: Probability that a cell is drawn anew in an attempt.
+        attempts: Largest number of attempts.
+
+    Raises:
+        ValueError: The rate is not a probability, or there is no attempt.
+    """
+    if not 0.0 <= rate <= 1.0 or attempts < 1:
+        raise ValueError(f"got rate={rate}, attempts={attempts}; expected a rate from 0 to 1, at least 1 attempt")
+    thresholds = _thresholds(SAMPLE_WEIGHTS)
+    grid = body.grid
+    for _ in range(attempts):
+        is_redrawn = rng.random(body.shape) < rate
+        grid = np.where(is_redrawn, _draw(thresholds, rng, body.shape), grid)
+        if _is_valid(grid):
+            return Body(grid)
+    return None
+
+
+def _is_valid(grid: Grid) -> bool:
+    return has_actuator(grid) and is_connected(grid)
+
+
+def _thresholds(weights: Sequence[float]) -> NDArray[np.float64]:
+    """Returns the cumulated probabilities of the five body codes."""
+    values = np.asarray(weights, dtype=np.float64)
+    if values.shape != (5,) or not np.all(np.isfinite(values) & (values >= 0.0)):
+        raise ValueError(f"weights: got {weights}, expected five finite numbers >= 0")
+    if not values[[H_ACT, V_ACT]].any():
+        raise ValueError(f"weights: got {weights}, expected one of the last two (the actuators) above 0")
+    cumulated = np.cumsum(values)
+    return cumulated / cumulated[-1]
+
+
+def _draw(thresholds: NDArray[np.float64], rng: np.random.Generator, shape: tuple[int, int]) -> Grid:
+    """Returns independent random codes: the first code whose threshold reaches a uniform number."""
+    return np.searchsorted(thresholds, rng.random(shape)).astype(np.int8)
+
+
+@cache
+def _read_robots() -> dict[str, tuple[Body, str | None]]:
+    """Returns body and task of each robot in robots.txt."""
+    entries = {}
+    text = (Path(__file__).parent / "robots.txt").read_text(encoding="utf-8")
+    for block in text.split("\n\n")[1:]:  # the first one is the file's own description
+        lines = block.split("\n")
+        fields = dict(line.split(": ", 1) for line in lines if ": " in line)
+        body = Body([line for line in lines if line and ": " not in line])
+        entries[fields["name"]] = body, fields.get("task")
+    return entries
+
+
+Value = TypeVar("Value")
+
+
+class _LazyMapping(Mapping[str, Value], Generic[Value]):
+    """A read-only mapping whose content is loaded at first use."""
+
+    def __init__(self, load: Callable[[], Mapping[str, Value]]) -> None:
+        self._load = load
+
+    def __getitem__(self, key: str) -> Value:
+        return self._load()[key]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._load())
+
+    def __len__(self) -> int:
+        return len(self._load())
+
+
+robots: Mapping[str, Body] = _LazyMapping(lambda: {name: body for name, (body, _) in _read_robots().items()})
+robot_tasks: Mapping[str, str] = _LazyMapping(
+    lambda: {name: task for name, (_, task) in _read_robots().items() if task}
+)

@@ -1,0 +1,367 @@
+"""The task engine: one batched implementation of every task, for all adapters.
+
+Arrays are indexed by world and by cell of the padded grid (V cells, bodies in the upper left corner).
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from evogymcm.body import Body
+from evogymcm.envs.designs import MATERIALS, BodySpec, as_bodies, deal_fields, on_grid
+from evogymcm.envs.task import Snapshot, Task, Window
+from evogymcm.envs.tasks import as_task
+from evogymcm.envs.voxels import N_FEATURES, fill_voxels, voxel_template
+from evogymcm.sim.constants import (
+    ACTUATION_HIGH,
+    ACTUATION_LOW,
+    H_ACT,
+    MISSING,
+    STIFFNESS_HIGH,
+    STIFFNESS_LOW,
+    V_ACT,
+    VOXEL,
+    Physics,
+)
+from evogymcm.sim.readings import Terrain, new_readings, read_object, read_window
+from evogymcm.sim.simulator import Block, Simulator
+from evogymcm.sim.world import ROBOT, World, WorldObject
+
+UNSTABLE_PENALTY = -3.0
+# Arrays that a step can change, besides the simulator and the task's memory.
+_STATE = ("actuation", "stiffness", "reward", "score", "returns", "length", "terminated", "truncated", "unstable")
+
+
+class TaskEngine:
+    """N worlds of one task, each with its body, stepped and reset together.
+
+    Args:
+        task: A task or its id.
+        bodies: A body or a list of bodies (anything that `as_body` takes), dealt to the worlds in turn.
+        num_worlds: N; as many as bodies by default.
+        material: "invariant" (stiffness belongs to the body) or "reactive" (stiffness is part of every action).
+        stiffness: Invariant only: a field of the body's shape in [0.5, 2], or one for each body; None is 1 everywhere.
+        edge_rule: "mean_factor" or "mean_stiffness", see `evogymcm.sim.scene.build_scene`.
+        physics: Constants; the benchmark's by default.
+        num_threads: Threads; all cores by default.
+        seed: For tasks with random resets, see `set_seed`.
+        with_voxels: Whether to observe voxels (`self.voxels`).
+        with_flat: Whether to form the flat observation, where all bodies are equal.
+
+    Attributes:
+        voxels: (N, V, F) float32, see `voxels.py`.
+        flat: (N, D) the task's own observation, None where bodies differ.
+        features: (N, G) COM velocity, sine and cosine of the orientation, and the task's own global parts.
+        reward, terminated, truncated, unstable: (N,) of the last step.
+        score: (N,) the sum of the episode's rewards but the last (the paper's score, once the episode has ended).
+        returns: (N,) the sum of all of them.
+        length: (N,) env-steps of the episode.
+
+    Raises:
+        ValueError: For an unknown task, material or edge rule, a body that is invalid or does not fit, or a stiffness
+            that is not finite, out of range, of another shape, or given in the reactive setting.
+    """
+
+    def __init__(
+        self,
+        task: str | Task,
+        bodies: BodySpec | Sequence[BodySpec],
+        num_worlds: int | None = None,
+        *,
+        material: str = "invariant",
+        stiffness: np.ndarray | Sequence[np.ndarray | None] | None = None,
+        edge_rule: str = "mean_factor",
+        physics: Physics | None = None,
+        num_threads: int | None = None,
+        seed: int | Sequence[int | None] | None = None,
+        with_voxels: bool = True,
+        with_flat: bool = True,
+    ) -> None:
+        self.task = as_task(task)
+        if material not in MATERIALS:
+            raise ValueError(f"material: got {material!r}, allowed are {MATERIALS}")
+        self.material = material
+        designs = as_bodies(bodies)
+        n = len(designs) if num_worlds is None else num_worlds
+        if n < 1:
+            raise ValueError(f"num_worlds: got {n}, at least 1 is needed")
+        self.num_worlds = n
+        self.bodies = tuple(designs[i % len(designs)] for i in range(n))
+        world = self.task.world if isinstance(self.task.world, World) else World.load(self.task.world)
+        placed = {body: self._place(world, body) for body in set(self.bodies)}
+        scenes = [placed[body] for body in self.bodies]
+        self.simulator = Simulator(scenes, edge_rule, physics, num_threads, placed=self.task.moves_at_reset)
+        self.grid_shape = self.simulator.grid_shape
+        self._fields = deal_fields(stiffness, designs, material, n, self.grid_shape)
+
+        v = self.simulator.n_cells
+        self.occupancy = np.stack([on_grid(b.occupancy, self.grid_shape, False) for b in self.bodies])
+        self.actuators = np.stack(
+            [on_grid(np.isin(b.grid, (H_ACT, V_ACT)), self.grid_shape, False) for b in self.bodies]
+        )
+        self.with_voxels = with_voxels
+        self.voxels = np.zeros((n, v, N_FEATURES), np.float32)
+        self._template = self._make_template() if with_voxels else np.zeros((n, v, N_FEATURES), np.float32)
+        most_points = max(b.scene.objects[0].topology.n_points for b in self.simulator.blocks)
+        self._hulls = [np.zeros((2, 2 * most_points + 2), np.int64) for _ in self.simulator.blocks]
+        self._terrains = [self._make_terrains(block) for block in self.simulator.blocks]
+        self._now, self._before = self._new_snapshot(most_points), self._new_snapshot(most_points)
+        self.is_uniform = with_flat and len(placed) == 1
+
+        self.stiffness = np.ones((n, v)) if self._fields is None else self._fields.copy()
+        self.actuation = np.ones((n, v))
+        if self._fields is not None:
+            self.simulator.set_stiffness(self.stiffness)
+        self.reward, self.score, self.returns = np.zeros(n), np.zeros(n), np.zeros(n)
+        self.length = np.zeros(n, np.int64)
+        self.terminated, self.truncated, self.unstable = (np.zeros(n, bool) for _ in range(3))
+        self.set_seed(seed)
+        self.memory: dict[str, np.ndarray] = {}
+        self.reset()
+        ceiling = self.task.score_ceiling(self._now)
+        self.score_ceiling = np.full(n, np.nan) if ceiling is None else np.array(ceiling)
+
+    def _place(self, world: World, body: Body) -> tuple[WorldObject, ...]:
+        robot = WorldObject(ROBOT, body.grid, self.task.spawn, body.connections)
+        try:
+            return world.place(robot).simulation_order()
+        except ValueError as error:
+            raise ValueError(f"body {body.text!r} does not fit in {self.task.id}: {error}") from error
+
+    def _make_template(self) -> np.ndarray:
+        """Returns (N, V, F) the voxel features that never change."""
+        rows = {}
+        for block in self.simulator.blocks:
+            body = self.bodies[block.worlds[0]]
+            rows[body] = voxel_template(body, block.scene.objects[0].topology, self.grid_shape)
+        return np.stack([rows[body] for body in self.bodies])
+
+    def _make_terrains(self, block: Block) -> tuple[Terrain | None, Terrain | None]:
+        """Returns what the floor and the ceiling window see."""
+
+        def collect(window: Window | None) -> Terrain | None:
+            if window is None:
+                return None
+            points = np.concatenate([block.scene.object(name).points for name in window.objects])
+            n = block.scene.n_points
+            fixed = block.layout.static_points[points[points >= n] - n] / VOXEL
+            # Fixed corners of soft voxels have lanes, but their place never changes either.
+            return Terrain(fixed[np.argsort(fixed[:, 0], kind="stable")], points[points < n])
+
+        return collect(self.task.floor), collect(self.task.ceiling)
+
+    def _new_snapshot(self, n_points: int) -> Snapshot:
+        n, task = self.num_worlds, self.task
+        scene = self.simulator.blocks[0].scene
+        return Snapshot(
+            robot=new_readings(n, n_points),
+            objects={name: new_readings(n, scene.object(name).topology.n_points) for name in task.watches},
+            floor=np.zeros((n, 2 * task.floor.radius + 1)) if task.floor else None,
+            ceiling=np.zeros((n, 2 * task.ceiling.radius + 1)) if task.ceiling else None,
+        )
+
+    def reset(self, mask: np.ndarray | None = None) -> None:
+        """Starts new episodes in the worlds of the (N,) bool mask, in all by default."""
+        chosen = np.ones(self.num_worlds, bool) if mask is None else np.asarray(mask, bool).reshape(self.num_worlds)
+        self._draw(chosen)
+        self.simulator.reset(chosen, self.memory.get("offset"))
+        self.actuation[chosen] = 1.0
+        if self.material == "reactive":
+            self.stiffness[chosen] = 1.0
+        for values in (self.reward, self.score, self.returns, self.length):
+            values[chosen] = 0
+        for flags in (self.terminated, self.truncated, self.unstable):
+            flags[chosen] = False
+        self.voxels = self._template.copy() if mask is None else self.voxels.copy()
+        self._read(chosen)
+
+    def _draw(self, chosen: np.ndarray) -> None:
+        """Draws what the episodes of the chosen worlds hold at random, each from its world's own generator."""
+        rows = {world: self.task.draw(self._rngs[world]) for world in np.flatnonzero(chosen)}
+        for world, row in rows.items():
+            for name, value in row.items():
+                if name not in self.memory:
+                    self.memory[name] = np.zeros((self.num_worlds, *value.shape), value.dtype)
+                self.memory[name][world] = value
+
+    def step(self, actuation: np.ndarray, stiffness: np.ndarray | None = None, mask: np.ndarray | None = None) -> None:
+        """Advances the worlds by one env-step; what comes of it is in the attributes.
+
+        Args:
+            actuation: (N, V) actuation, clipped to [0.6, 1.6]; cells without an actuator have no effect.
+            stiffness: (N, V) stiffness, clipped to [0.5, 2]: needed in the reactive setting, not allowed otherwise.
+            mask: (N,) bool, the worlds to advance; all by default. The others keep everything.
+
+        Raises:
+            ValueError: For another shape, or NaN at a voxel that uses the number.
+        """
+        chosen = np.ones(self.num_worlds, bool) if mask is None else np.asarray(mask, bool).reshape(self.num_worlds)
+        given = self._check_action("actuation", actuation, self.actuators, ACTUATION_LOW, ACTUATION_HIGH)
+        if (stiffness is None) == (self.material == "reactive"):
+            needs = "needs stiffness in every action" if stiffness is None else "takes no stiffness in its actions"
+            raise ValueError(f"stiffness: the {self.material} setting {needs}")
+        factors = None
+        if stiffness is not None:
+            factors = self._check_action("stiffness", stiffness, self.occupancy, STIFFNESS_LOW, STIFFNESS_HIGH)
+        if mask is None:
+            self.actuation = given
+            self.stiffness = self.stiffness if factors is None else factors
+        else:
+            self.actuation[chosen] = given[chosen]
+            if factors is not None:
+                self.stiffness[chosen] = factors[chosen]
+        self._now, self._before = self._before, self._now
+        self.voxels = self._template.copy() if mask is None else self.voxels.copy()
+        unstable = self.simulator.step(self.actuation, factors, mask, self._reader())
+        if mask is not None:
+            self._keep(~chosen)
+        self._reward(chosen, unstable)
+
+    def _check_action(self, name: str, values: Any, used: np.ndarray, low: float, high: float) -> np.ndarray:
+        """Returns the action clipped to its range, and 1 where it is not used."""
+        values = np.asarray(values, np.float64)
+        if values.shape != used.shape:
+            raise ValueError(f"{name}: got shape {values.shape}, expected (worlds, cells) = {used.shape}")
+        values = np.where(used, values, 1.0)
+        if np.isnan(values).any():
+            raise ValueError(f"{name}: got NaN in world {int(np.isnan(values).any(1).argmax())}")
+        return np.clip(values, low, high, out=values)
+
+    def _reader(self) -> Any:
+        """Returns the function that reads a block's worlds, run in the thread that advanced it."""
+        self._now = replace(self._now, memory={name: values.copy() for name, values in self.memory.items()})
+        now, task = self._now, self.task
+
+        def read(block: Block, worlds: np.ndarray) -> None:
+            i = block.index
+            points, layout, robot = block.state.points, block.layout, block.scene.objects[0]
+            n = robot.topology.n_points
+            read_object(points, layout.initial, 0, n, worlds, True, task.reads_hull, self._hulls[i], now.robot)
+            for name, readings in now.objects.items():
+                numbers = block.scene.object(name).points
+                end = int(numbers[-1]) + 1
+                read_object(points, layout.initial, int(numbers[0]), end, worlds, True, False, self._hulls[i], readings)
+            windows = ((task.floor, now.floor, False), (task.ceiling, now.ceiling, True))
+            for terrain, (window, out, is_ceiling) in zip(self._terrains[i], windows, strict=True):
+                if terrain is not None and window is not None and out is not None:
+                    read_window(terrain, points, now.robot.com, worlds, window.radius, is_ceiling, out)
+            if self.with_voxels:
+                cells, corners = robot.topology.cells, robot.topology.corner_points
+                com, velocity = now.robot.com, now.robot.velocity
+                fill_voxels(
+                    points,
+                    cells,
+                    corners,
+                    self.grid_shape[1],
+                    worlds,
+                    com,
+                    velocity,
+                    self.stiffness,
+                    self.actuation,
+                    self.voxels,
+                )
+
+        return read
+
+    def _keep(self, kept: np.ndarray) -> None:
+        """Copies the last readings of the worlds that did not take part."""
+        pairs: list[tuple[Any, Any]] = list(zip(self._now.robot, self._before.robot, strict=True))
+        for name, readings in self._now.objects.items():
+            pairs += list(zip(readings, self._before.objects[name], strict=True))
+        pairs += [(self._now.floor, self._before.floor), (self._now.ceiling, self._before.ceiling)]
+        for new, old in pairs:
+            if new is not None:
+                new[kept] = old[kept]
+
+    def _read(self, chosen: np.ndarray) -> None:
+        """Reads the worlds of the mask as they are now."""
+        read = self._reader()
+        for block in self.simulator.blocks:
+            worlds = np.where((block.worlds != MISSING) & chosen[block.worlds], block.worlds, MISSING)
+            if (worlds != MISSING).any():
+                read(block, worlds)
+
+    def _reward(self, chosen: np.ndarray, unstable: np.ndarray) -> None:
+        """Rewards and endings of the step, for the worlds of the mask."""
+        reward = np.asarray(self.task.reward(self._before, self._now), np.float64)
+        terminated = unstable.copy()
+        reward = reward + np.where(unstable, UNSTABLE_PENALTY, 0.0)
+        for condition, bonus in self.task.endings(self._now):
+            reward = reward + np.where(condition, bonus, 0.0)
+            terminated = terminated | condition
+        for name, values in self.task.remember(self._now).items():
+            rows = chosen.reshape(-1, *([1] * (values.ndim - 1)))
+            self.memory[name] = np.where(rows, values, self.memory[name])
+        self.length = self.length + chosen
+        self.score = np.where(chosen, self.returns, self.score)
+        self.reward = np.where(chosen, reward, 0.0)
+        self.returns = self.returns + self.reward
+        self.terminated = np.where(chosen, terminated, self.terminated)
+        self.truncated = np.where(chosen, self.length >= self.task.time_limit, self.truncated)
+        self.unstable = np.where(chosen, unstable, self.unstable)
+
+    @property
+    def snapshot(self) -> Snapshot:
+        """The present readings. They are overwritten by the step after the next."""
+        return self._now
+
+    @property
+    def com(self) -> np.ndarray:
+        """(N, 2) the robots' centres of mass, metres."""
+        return self._now.robot.com.copy()
+
+    @property
+    def flat(self) -> np.ndarray | None:
+        """(N, D) the task's own flat observation (fresh memory), None where bodies differ."""
+        if not self.is_uniform:
+            return None
+        return np.concatenate(list(self.task.observation(self._now).values()), axis=1)
+
+    @property
+    def features(self) -> np.ndarray:
+        """(N, G) global features (fresh memory): COM velocity, sine and cosine of the orientation, the task's parts."""
+        angle = self._now.robot.orientation
+        parts = [self._now.robot.velocity, np.sin(angle)[:, None], np.cos(angle)[:, None]]
+        own = self.task.observation(self._now)
+        parts += [part for name, part in own.items() if name not in ("velocity", "orientation", "relative")]
+        return np.concatenate(parts, axis=1)
+
+    def set_seed(self, seed: int | Sequence[int | None] | None) -> None:
+        """Seeds random resets: one seed for each world, or one for the first, from which the others count up.
+
+        None draws from the operating system. Nothing happens before the next reset.
+        """
+        seeds = [None] * self.num_worlds if seed is None else seed
+        if isinstance(seeds, int | np.integer):
+            seeds = [int(seeds) + world for world in range(self.num_worlds)]
+        if len(seeds) != self.num_worlds:
+            raise ValueError(f"seed: got {len(seeds)} seeds, expected one for each of {self.num_worlds} worlds")
+        self._rngs = [np.random.default_rng(value) for value in seeds]
+
+    def state(self) -> dict[str, Any]:
+        """Returns a copy of everything that a step or a reset can change, for `set_state`."""
+        return {name: getattr(self, name).copy() for name in _STATE} | {
+            "simulator": self.simulator.state(),
+            "memory": {name: values.copy() for name, values in self.memory.items()},
+            "shown": {name: values.copy() for name, values in self._now.memory.items()},
+            "rngs": [rng.bit_generator.state for rng in self._rngs] if self.memory else [],
+        }
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Takes up a state of an engine made with the same arguments."""
+        for name in _STATE:
+            setattr(self, name, np.array(state[name]))
+        self.memory = {name: np.array(values) for name, values in state["memory"].items()}
+        for rng, saved in zip(self._rngs, state["rngs"], strict=False):
+            rng.bit_generator.state = saved
+        self.simulator.set_state(state["simulator"])
+        self.refresh()
+        # The last observation was formed before the task's memory moved on.
+        self._now = replace(self._now, memory={name: np.array(values) for name, values in state["shown"].items()})
+
+    def refresh(self) -> None:
+        """Reads all worlds anew, after the simulator's state was changed from outside."""
+        self.voxels = self._template.copy()
+        self._read(np.ones(self.num_worlds, bool))

@@ -1,0 +1,315 @@
+"""The task engine as a Gymnasium environment, single and vectorised.
+
+Actions are flat, as in EvoGym: one actuation for each actuator, row-major; in the reactive setting followed by one
+stiffness for each voxel, row-major.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import gymnasium
+import numpy as np
+from gymnasium import spaces
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+
+from evogymcm.body import Body, as_body
+from evogymcm.envs._human import Window
+from evogymcm.envs.core import TaskEngine
+from evogymcm.envs.designs import BodySpec, as_bodies
+from evogymcm.envs.render import FPS, Renderer
+from evogymcm.envs.task import Task
+from evogymcm.sim.constants import ACTUATION_HIGH, ACTUATION_LOW, STIFFNESS_HIGH, STIFFNESS_LOW, Physics
+
+_NOMINAL = 100.0  # bounds of the observation space, as in EvoGym; nothing is clipped to them
+
+
+def _single_spaces(engine: TaskEngine) -> tuple[spaces.Box, spaces.Box]:
+    """Returns the observation and the action space of one world."""
+    flat = engine.flat
+    if flat is None:
+        raise ValueError("body: worlds of one Gymnasium vector environment need equal bodies; see SoftRobotEnv")
+    n_actuators, n_voxels = int(engine.actuators[0].sum()), int(engine.occupancy[0].sum())
+    low, high = np.full(n_actuators, ACTUATION_LOW), np.full(n_actuators, ACTUATION_HIGH)
+    if engine.material == "reactive":
+        low = np.concatenate([low, np.full(n_voxels, STIFFNESS_LOW)])
+        high = np.concatenate([high, np.full(n_voxels, STIFFNESS_HIGH)])
+    observation = spaces.Box(-_NOMINAL, _NOMINAL, (flat.shape[1],), np.float64)
+    return observation, spaces.Box(low, high, dtype=np.float64)
+
+
+class _ActionGrid:
+    """Puts flat actions of N worlds on the padded grid."""
+
+    def __init__(self, engine: TaskEngine, n_numbers: int) -> None:
+        self._shape = (engine.num_worlds, n_numbers)
+        self._actuators = np.flatnonzero(engine.actuators[0])
+        self._voxels = np.flatnonzero(engine.occupancy[0])
+        self._grid_size = engine.occupancy.shape
+        self._is_reactive = engine.material == "reactive"
+
+    def spread(self, actions: Any) -> tuple[np.ndarray, np.ndarray | None]:
+        """Returns (N, V) actuation and stiffness; ValueError for another number of values or NaN."""
+        actions = np.asarray(actions, np.float64)
+        if actions.shape != self._shape:
+            raise ValueError(f"action: got shape {actions.shape[1:]}, expected {self._shape[1:]}")
+        actuation = np.ones(self._grid_size)
+        actuation[:, self._actuators] = actions[:, : len(self._actuators)]
+        if not self._is_reactive:
+            return actuation, None
+        stiffness = np.ones(self._grid_size)
+        stiffness[:, self._voxels] = actions[:, len(self._actuators) :]
+        return actuation, stiffness
+
+
+class GymnasiumEnv(gymnasium.Env[np.ndarray, np.ndarray]):
+    """One world of one task.
+
+    `info` holds `com` (2,), `unstable`, `score` (the episode's rewards but the last), `return` (all of them), and
+    `physics`, the constants that differ from the benchmark's, where some do.
+
+    Args:
+        task: A task or its id.
+        body: Anything that `evogymcm.as_body` takes: a grid of codes, text, a robot's name.
+        connections: (2, k) joined pairs of flat indices; all side-adjacent voxels by default.
+        material: "invariant" or "reactive".
+        stiffness: Invariant only: field in [0.5, 2] of the body's shape; None is 1 everywhere, plain EvoGym.
+        edge_rule: How stiffness acts on shared edges: "mean_factor" or "mean_stiffness".
+        render_mode: "rgb_array" (`render` returns a picture), "human" (a window shows every step), or None.
+        render_options: Keywords of `Renderer`: width, height, view, legend.
+        physics: Constants; the benchmark's by default.
+
+    Raises:
+        ValueError: For bad arguments, as `TaskEngine`; in a step for NaN or another number of values.
+    """
+
+    metadata: dict[str, Any] = {"render_modes": ["rgb_array", "human"], "render_fps": FPS}
+
+    def __init__(
+        self,
+        task: str | Task,
+        body: BodySpec,
+        connections: np.ndarray | None = None,
+        *,
+        material: str = "invariant",
+        stiffness: np.ndarray | None = None,
+        edge_rule: str = "mean_factor",
+        render_mode: str | None = None,
+        render_options: Mapping[str, Any] | None = None,
+        physics: Physics | None = None,
+    ) -> None:
+        design = as_body(body) if connections is None else Body(as_body(body).grid, connections)
+        self.render_mode = _check_render_mode(render_mode, self.metadata)
+        self.engine = TaskEngine(
+            task,
+            design,
+            1,
+            material=material,
+            stiffness=stiffness,
+            edge_rule=edge_rule,
+            physics=physics,
+            num_threads=1,
+            with_voxels=False,
+        )
+        self.observation_space, self.action_space = _single_spaces(self.engine)
+        self._grid = _ActionGrid(self.engine, self.action_space.shape[0])
+        self._renderer = Renderer(self.engine, **render_options or {}) if render_mode else None
+        self._window = Window(self.engine.task.id, FPS) if render_mode == "human" else None
+
+    def _observation(self) -> np.ndarray:
+        flat = self.engine.flat
+        assert flat is not None  # one body is equal to itself
+        return flat[0]
+
+    def _info(self) -> dict[str, Any]:
+        engine = self.engine
+        changed = engine.simulator.physics.changed()
+        info = {
+            "com": engine.com[0],
+            "unstable": bool(engine.unstable[0]),
+            "score": float(engine.score[0]),
+            "return": float(engine.returns[0]),
+        }
+        return info | {"physics": changed} if changed else info
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[np.ndarray, dict]:
+        """Starts an episode; a seed matters to tasks that draw something at random."""
+        super().reset(seed=seed)
+        if seed is not None:
+            self.engine.set_seed(seed)
+        self.engine.reset()
+        self._show()
+        return self._observation(), self._info()
+
+    def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
+        """Advances the world by one env-step; actions are clipped to their range."""
+        engine = self.engine
+        engine.step(*self._grid.spread(np.asarray(action)[None]))
+        self._show()
+        ended = bool(engine.terminated[0]), bool(engine.truncated[0])
+        return self._observation(), float(engine.reward[0]), *ended, self._info()
+
+    def render(self) -> np.ndarray | None:
+        """Returns a picture, uint8 (height, width, 3), where `render_mode` is "rgb_array"; see `Renderer`."""
+        if self.render_mode is None:
+            gymnasium.logger.warn("render: no render_mode was given to the environment")
+        return self._renderer.frame() if self._renderer and not self._window else None
+
+    def _show(self) -> None:
+        if self._renderer and self._window and not self._window.is_closed:
+            self._window.show(self._renderer.frame())
+
+    def close(self) -> None:
+        """Closes the window, where there is one."""
+        if self._window:
+            self._window.close()
+
+    def points(self, name: str = "robot") -> np.ndarray:
+        """Returns (2, n) positions in metres of an object's points."""
+        return self.engine.simulator.positions(name)
+
+    def velocities(self, name: str = "robot") -> np.ndarray:
+        """Returns (2, n) velocities of an object's points."""
+        return self.engine.simulator.velocities(name)
+
+
+class GymnasiumVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
+    """Many worlds of one task, stepped together; bodies must be equal.
+
+    `info` holds what it holds for `GymnasiumEnv`, with a row for each world (`physics` is the same for all).
+
+    Args:
+        task: A task or its id.
+        body: One body or a list of `num_envs`.
+        num_envs: Number of worlds.
+        connections: (2, k) joined pairs of the one body.
+        autoreset_mode: NEXT_STEP (the step after an end resets), SAME_STEP (ended worlds reset at once; the last
+            observation and info are in `info`), or DISABLED (the caller resets with `options={"reset_mask": mask}`).
+        max_episode_steps: Cuts episodes earlier than the task's limit.
+        num_threads: Threads; all cores by default.
+        render_mode: "rgb_array" (`render` returns a tuple of pictures, one a world) or None.
+        material, stiffness, edge_rule, render_options, physics: As for `GymnasiumEnv`.
+    """
+
+    metadata: dict[str, Any] = {
+        "render_modes": ["rgb_array"],
+        "render_fps": FPS,
+        "autoreset_mode": AutoresetMode.NEXT_STEP,
+    }
+
+    def __init__(
+        self,
+        task: str | Task,
+        body: BodySpec | Sequence[BodySpec],
+        num_envs: int = 1,
+        connections: np.ndarray | None = None,
+        *,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+        max_episode_steps: int | None = None,
+        num_threads: int | None = None,
+        material: str = "invariant",
+        stiffness: np.ndarray | Sequence[np.ndarray | None] | None = None,
+        edge_rule: str = "mean_factor",
+        render_mode: str | None = None,
+        render_options: Mapping[str, Any] | None = None,
+        physics: Physics | None = None,
+    ) -> None:
+        self.render_mode = _check_render_mode(render_mode, self.metadata)
+        designs = as_bodies(body)
+        if connections is not None:
+            designs = [Body(design.grid, connections) for design in designs]
+        if len(designs) not in (1, num_envs):
+            raise ValueError(f"body: got {len(designs)}, expected 1 or num_envs = {num_envs}")
+        self.autoreset_mode = AutoresetMode(autoreset_mode)
+        self.metadata = self.metadata | {"autoreset_mode": self.autoreset_mode}
+        self.engine = TaskEngine(
+            task,
+            designs,
+            num_envs,
+            material=material,
+            stiffness=stiffness,
+            edge_rule=edge_rule,
+            physics=physics,
+            num_threads=num_threads,
+            with_voxels=False,
+        )
+        self.num_envs = num_envs
+        self._limit = max_episode_steps or self.engine.task.time_limit
+        self.single_observation_space, self.single_action_space = _single_spaces(self.engine)
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self._grid = _ActionGrid(self.engine, self.single_action_space.shape[0])
+        self._ended = np.zeros(num_envs, bool)
+        self._renderer = Renderer(self.engine, **render_options or {}) if render_mode else None
+
+    def _observation(self) -> np.ndarray:
+        flat = self.engine.flat
+        assert flat is not None  # checked when the spaces were made
+        return flat
+
+    def _info(self) -> dict[str, Any]:
+        engine, all_worlds = self.engine, np.ones(self.num_envs, bool)
+        info: dict[str, Any] = {
+            "com": engine.com,
+            "unstable": engine.unstable.copy(),
+            "score": engine.score.copy(),
+            "return": engine.returns.copy(),
+        }
+        info |= {f"_{key}": all_worlds.copy() for key in info}
+        changed = engine.simulator.physics.changed()
+        return info | {"physics": changed} if changed else info
+
+    def reset(
+        self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[np.ndarray, dict[str, Any]]:
+        """Starts episodes, in all worlds or in those of `options["reset_mask"]`; world i gets seed + i."""
+        super().reset(seed=seed if not isinstance(seed, list) else None)
+        if seed is not None:
+            self.engine.set_seed(seed)
+        mask = None if options is None else options.get("reset_mask")
+        if mask is not None:
+            mask = np.asarray(mask)
+            if mask.shape != (self.num_envs,) or mask.dtype != bool or not mask.any():
+                raise ValueError(
+                    f"reset_mask: got {mask.dtype} {mask.shape}, expected ({self.num_envs},) bool, some True"
+                )
+        self.engine.reset(mask)
+        self._ended &= False if mask is None else ~mask
+        return self._observation(), self._info()
+
+    def step(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
+        """Advances the worlds by one env-step, and resets ended ones as `autoreset_mode` says."""
+        engine = self.engine
+        was_ended = self._ended & (self.autoreset_mode == AutoresetMode.NEXT_STEP)
+        actuation, stiffness = self._grid.spread(actions)
+        going = ~was_ended
+        engine.step(actuation, stiffness, None if going.all() else going)
+        if was_ended.any():
+            engine.reset(was_ended)
+        reward, terminated = engine.reward.copy(), engine.terminated.copy()
+        truncated = engine.truncated | (engine.length >= self._limit)
+        self._ended = terminated | truncated
+        observation, info = self._observation(), self._info()
+        if self.autoreset_mode == AutoresetMode.SAME_STEP and self._ended.any():
+            ended = self._ended
+            finals = np.empty(self.num_envs, object)
+            for world in np.flatnonzero(ended):
+                finals[world] = observation[world].copy()
+            info = {"final_obs": finals, "_final_obs": ended.copy(), "final_info": info, "_final_info": ended.copy()}
+            engine.reset(ended)
+            observation, info = self._observation(), info | self._info()
+            self._ended = np.zeros(self.num_envs, bool)
+        return observation, reward, terminated, truncated, info
+
+    def render(self) -> tuple[np.ndarray, ...] | None:
+        """Returns a picture of each world, uint8 (height, width, 3), where `render_mode` is "rgb_array"."""
+        if self._renderer is None:
+            gymnasium.logger.warn("render: no render_mode was given to the environment")
+            return None
+        return tuple(self._renderer.frame(world) for world in range(self.num_envs))
+
+
+def _check_render_mode(mode: str | None, metadata: dict[str, Any]) -> str | None:
+    if mode is not None and mode not in metadata["render_modes"]:
+        raise ValueError(f"render_mode: got {mode!r}, allowed are None and {metadata['render_modes']}")
+    return mode

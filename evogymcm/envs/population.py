@@ -1,0 +1,223 @@
+"""A population as agents: the worlds of SoftRobotEnv under groups, TorchRL's form for many agents."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torchrl.data import Composite
+from torchrl.envs import EnvBase, MarlGroupMapType
+from torchrl.envs.utils import check_marl_grouping
+
+from evogymcm.body import Body
+from evogymcm.envs.core import TaskEngine
+from evogymcm.envs.designs import BodySpec, as_bodies
+from evogymcm.envs.render import Renderer
+from evogymcm.envs.task import Task
+from evogymcm.envs.torchrl import SoftRobotEnv
+from evogymcm.sim.constants import Physics
+
+GROUP = "bodies"
+
+
+class PopulationEnv(EnvBase):
+    """P bodies as agents of one environment, each in its own world: same keys as `SoftRobotEnv`, under a group.
+
+    `("bodies", "voxels")` is [P, V, F], `("bodies", "action", "actuation")` [P, V], `("bodies", "reward")` [P, 1]. Done
+    flags exist in the group only, so every body ends and restarts alone, and no body waits for another. All bodies
+    always act; `occupancy` and `actuators` mask the cells that a body does not have.
+
+    Of TorchRL's transforms, `RewardSum` must stand before `StepCounter`: by itself, `StepCounter` (0.14) declares the
+    group without its agent dimension, and collectors then fail.
+
+    Args:
+        task: A task or its id.
+        bodies: The P bodies.
+        copies: C copies of the whole population, batch size [C] and shapes [C, P, ...]; None for one, batch size [].
+        material: "invariant" or "reactive".
+        stiffness: Invariant only: one field for each body; None is 1 everywhere.
+        edge_rule: How stiffness acts on shared edges: "mean_factor" or "mean_stiffness".
+        seed: For tasks with random resets.
+        num_threads: Threads of the simulator; all cores by default.
+        device: Where tensors go; the simulator runs on the CPU.
+        physics: Constants; the benchmark's by default.
+        group_map: Which agents (`body_0` ...) form which group, or one of TorchRL's ready maps. By default all are in
+            the one group `bodies`.
+
+    Attributes:
+        worlds: The `SoftRobotEnv` of all C * P worlds; world c * P + p is body p of copy c.
+        agent_names: `body_0` ... in the order of the bodies.
+        group_map: The names of each group's agents.
+
+    Raises:
+        ValueError: For bad arguments, as `SoftRobotEnv`, and for groups that do not hold every agent once.
+    """
+
+    _has_frame_skip = True  # 30 substeps an env-step are ours, not a transform's
+    worlds: SoftRobotEnv
+
+    def __init__(
+        self,
+        task: str | Task,
+        bodies: BodySpec | Sequence[BodySpec],
+        copies: int | None = None,
+        *,
+        material: str = "invariant",
+        stiffness: np.ndarray | Sequence[np.ndarray | None] | None = None,
+        edge_rule: str = "mean_factor",
+        seed: int | None = 0,
+        num_threads: int | None = None,
+        device: torch.device | str | None = None,
+        physics: Physics | None = None,
+        group_map: MarlGroupMapType | Mapping[str, Sequence[str]] | None = None,
+    ) -> None:
+        designs = as_bodies(bodies)
+        if copies is not None and copies < 1:
+            raise ValueError(f"copies: got {copies}, at least 1 is needed, or None for no batch dimension")
+        super().__init__(device=device, batch_size=[] if copies is None else [copies])
+        self.agent_names = [f"body_{i}" for i in range(len(designs))]
+        self.group_map = self._make_groups(group_map)
+        worlds = SoftRobotEnv(
+            task,
+            designs,
+            len(designs) * (copies or 1),
+            material=material,
+            stiffness=stiffness,
+            edge_rule=edge_rule,
+            seed=seed,
+            num_threads=num_threads,
+            physics=physics,
+        )
+        object.__setattr__(self, "worlds", worlds)  # no submodule: its state is saved as ours, once
+        order = {name: i for i, name in enumerate(self.agent_names)}
+        self._members = {group: [order[name] for name in names] for group, names in self.group_map.items()}
+        self._is_whole = list(self._members.values()) == [list(range(self.num_bodies))]
+        ungrouped = [member for members in self._members.values() for member in members]
+        self._places = torch.tensor(ungrouped).argsort()  # of each body among the groups put side by side
+        self._make_specs()
+        self._renderer: Renderer | None = None
+
+    def _make_groups(self, given: MarlGroupMapType | Mapping[str, Sequence[str]] | None) -> dict[str, list[str]]:
+        if given is None:
+            return {GROUP: list(self.agent_names)}
+        if isinstance(given, MarlGroupMapType):
+            return given.get_group_map(self.agent_names)
+        groups = {group: list(names) for group, names in given.items()}
+        try:
+            check_marl_grouping(groups, self.agent_names)
+        except ValueError as error:
+            known = f"body_0 to {self.agent_names[-1]}"
+            raise ValueError(f"group_map: got {groups}, each of {known} must be in one group: {error}") from error
+        return groups
+
+    def _make_specs(self) -> None:
+        def grouped(spec: Composite) -> Composite:
+            one = spec[0]  # all worlds have the same
+            groups = {group: one.expand(*self.batch_size, len(names)) for group, names in self.group_map.items()}
+            return Composite(groups, shape=self.batch_size).clone().to(self.device)
+
+        self.observation_spec = grouped(self.worlds.observation_spec)
+        self.action_spec = grouped(self.worlds.full_action_spec)
+        self.reward_spec = grouped(self.worlds.full_reward_spec)
+        self.done_spec = grouped(self.worlds.full_done_spec)
+
+    @property
+    def num_bodies(self) -> int:
+        """P, the number of bodies."""
+        return len(self.agent_names)
+
+    @property
+    def bodies(self) -> tuple[Body, ...]:
+        """The P bodies."""
+        return self.worlds.bodies[: self.num_bodies]
+
+    @property
+    def task(self) -> Task:
+        """The task."""
+        return self.worlds.task
+
+    @property
+    def engine(self) -> TaskEngine:
+        """The task engine of all worlds."""
+        return self.worlds.engine
+
+    @property
+    def grid_shape(self) -> tuple[int, int]:
+        """(rows, columns) of the padded grid."""
+        return self.worlds.grid_shape
+
+    @property
+    def voxel_features(self) -> int:
+        """F, the number of features of a voxel."""
+        return self.worlds.voxel_features
+
+    @property
+    def score_ceiling(self) -> np.ndarray:
+        """(P,) the largest possible scores, NaN where they are not known."""
+        return self.worlds.score_ceiling[: self.num_bodies]
+
+    def _group(self, rows: TensorDictBase) -> TensorDict:
+        """Returns the worlds' rows under their groups."""
+        if self.batch_size:
+            rows = rows.reshape(*self.batch_size, self.num_bodies)
+        if self._is_whole:
+            (group,) = self.group_map
+            groups = {group: rows}
+        else:
+            groups = {group: rows[..., members] for group, members in self._members.items()}
+        return TensorDict(groups, batch_size=self.batch_size, device=self.device)
+
+    def _ungroup(self, parts: list[Any]) -> Any:
+        """Returns one tensor or TensorDict with a row for each world from the groups', given in their order."""
+        agent_dim = len(self.batch_size)
+        rows = parts[0] if self._is_whole else torch.cat(parts, agent_dim)[..., self._places]
+        return rows.reshape(-1) if agent_dim else rows
+
+    def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: Any) -> TensorDict:
+        chosen = None
+        if tensordict is not None:
+            flags = {group: tensordict.get((group, "_reset"), None) for group in self.group_map}
+            if any(flag is not None for flag in flags.values()):
+                chosen = self._chosen(flags)
+        return self._group(self.worlds._reset(chosen))
+
+    def _chosen(self, flags: Mapping[str, torch.Tensor | None]) -> TensorDict:
+        """Returns what resets the flagged worlds; groups without flags go on."""
+        parts = []
+        for group, names in self.group_map.items():
+            shape, flag = (*self.batch_size, len(names)), flags[group]
+            parts.append(torch.zeros(shape, dtype=torch.bool) if flag is None else flag.reshape(shape).cpu())
+        return TensorDict({"_reset": self._ungroup(parts)}, batch_size=self.worlds.batch_size)
+
+    def _step(self, tensordict: TensorDictBase) -> TensorDict:
+        actions = [tensordict.get(group).select("action") for group in self.group_map]
+        return self._group(self.worlds._step(self._ungroup(actions)))
+
+    def render(self, width: int = 640, height: int = 320, view: str = "types") -> torch.Tensor:
+        """Returns a picture of all bodies, uint8 [height, width, 3], or with copies one of each, see `Renderer.grid`.
+
+        Videos: `Compose(PixelRenderTransform(width=640, height=320), VideoRecorder(logger, tag))`.
+        """
+        renderer = self._renderer
+        if renderer is None or (renderer.width, renderer.height, renderer.view) != (width, height, view):
+            renderer = self._renderer = Renderer(self.engine, width, height, view)
+        worlds = np.arange(self.engine.num_worlds).reshape(-1, self.num_bodies)
+        pictures = torch.from_numpy(np.stack([renderer.grid(row.tolist()) for row in worlds])).to(self.device)
+        return pictures if self.batch_size else pictures[0]
+
+    def _set_seed(self, seed: int | None) -> None:
+        self.worlds._set_seed(seed)
+
+    def get_extra_state(self) -> dict[str, Any]:
+        """Returns everything that a step can change, as tensors, for `set_extra_state`."""
+        return self.worlds.get_extra_state()
+
+    def set_extra_state(self, state: dict[str, Any]) -> None:
+        """Takes up a state of an environment made with the same arguments: a rollout goes on, or is forked, exactly."""
+        self.worlds.set_extra_state(state)
+
+
+population_env = PopulationEnv  # the name for calls: population_env("Walker-v0", bodies)
+
+__all__ = ["GROUP", "PopulationEnv", "population_env"]

@@ -1,0 +1,224 @@
+"""SoftRobotEnv: the task engine as a batched TorchRL environment."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torchrl.data import Bounded, Categorical, Composite, Unbounded
+from torchrl.envs import EnvBase
+
+from evogymcm.envs.core import TaskEngine
+from evogymcm.envs.designs import BodySpec
+from evogymcm.envs.render import Renderer
+from evogymcm.envs.task import Task
+from evogymcm.envs.voxels import N_FEATURES
+from evogymcm.sim.constants import ACTUATION_HIGH, ACTUATION_LOW, STIFFNESS_HIGH, STIFFNESS_LOW, Physics
+
+
+class SoftRobotEnv(EnvBase):
+    """N worlds of one task as one batched environment, for any mix of bodies.
+
+    Bodies are padded to the largest grid, V cells, each in the upper left corner; `occupancy` and `actuators` say which
+    cells count. Numbers in other cells of an action are ignored.
+
+    | key | shape | what |
+    | --- | --- | --- |
+    | `("action", "actuation")` | [N, V] | in [0.6, 1.6], 1 is neutral |
+    | `("action", "stiffness")` | [N, V] | in [0.5, 2]; reactive setting only |
+    | `"voxels"` | [N, V, F] | what each voxel senses, see `evogymcm.envs.voxels` |
+    | `"occupancy"`, `"actuators"` | [N, V] bool | which cells hold a voxel, an actuator |
+    | `"task"` | [N, G] | COM velocity, sine and cosine of the orientation, the task's own global observations |
+    | `"observation"` | [N, D] float64 | EvoGym's flat observation, where all bodies are equal |
+    | `"com"` | [N, 2] float64 | centre of mass, metres |
+    | `"score"`, `"return"` | [N, 1] float64 | sums of the episode's rewards, without and with the last |
+    | `"unstable"` | [N, 1] bool | whether the simulation broke down in this step |
+
+    Args:
+        task: A task or its id.
+        bodies: A body or a list of bodies; dealt to the worlds in turn.
+        num_worlds: N; as many as bodies by default.
+        material: "invariant" or "reactive".
+        stiffness: Invariant only: a field in [0.5, 2] of the body's shape, or one for each body; None is 1 everywhere.
+        edge_rule: How stiffness acts on shared edges: "mean_factor" or "mean_stiffness".
+        seed: For tasks with random resets.
+        num_threads: Threads of the simulator; all cores by default.
+        device: Where tensors go; the simulator runs on the CPU.
+        physics: Constants; the benchmark's by default.
+
+    Raises:
+        ValueError: For bad arguments, as `TaskEngine`; in a step for NaN in an action.
+    """
+
+    _has_frame_skip = True  # 30 substeps an env-step are ours, not a transform's
+
+    def __init__(
+        self,
+        task: str | Task,
+        bodies: BodySpec | Sequence[BodySpec],
+        num_worlds: int | None = None,
+        *,
+        material: str = "invariant",
+        stiffness: np.ndarray | Sequence[np.ndarray | None] | None = None,
+        edge_rule: str = "mean_factor",
+        seed: int | None = 0,
+        num_threads: int | None = None,
+        device: torch.device | str | None = None,
+        physics: Physics | None = None,
+    ) -> None:
+        engine = TaskEngine(
+            task,
+            bodies,
+            num_worlds,
+            material=material,
+            stiffness=stiffness,
+            edge_rule=edge_rule,
+            physics=physics,
+            num_threads=num_threads,
+        )
+        super().__init__(device=device, batch_size=[engine.num_worlds])
+        self.engine = engine
+        self._occupancy = torch.from_numpy(engine.occupancy)
+        self._actuators = torch.from_numpy(engine.actuators)
+        self._renderer: Renderer | None = None
+        self._make_specs()
+        self.set_seed(seed)
+
+    def _make_specs(self) -> None:
+        n, v = self.engine.occupancy.shape
+
+        def flags(width: int) -> Categorical:
+            return Categorical(2, shape=(n, width), dtype=torch.bool, device=self.device)
+
+        def numbers(*shape: int, dtype: torch.dtype = torch.float32) -> Unbounded:
+            return Unbounded((n, *shape), dtype=dtype, device=self.device)
+
+        observation = {
+            "voxels": numbers(v, N_FEATURES),
+            "occupancy": flags(v),
+            "actuators": flags(v),
+            "task": numbers(self.engine.features.shape[1]),
+            "com": numbers(2, dtype=torch.float64),
+            "score": numbers(1, dtype=torch.float64),
+            "return": numbers(1, dtype=torch.float64),
+            "unstable": flags(1),
+        }
+        flat = self.engine.flat
+        if flat is not None:
+            observation["observation"] = numbers(flat.shape[1], dtype=torch.float64)
+        action = {"actuation": Bounded(ACTUATION_LOW, ACTUATION_HIGH, (n, v), device=self.device)}
+        if self.engine.material == "reactive":
+            action["stiffness"] = Bounded(STIFFNESS_LOW, STIFFNESS_HIGH, (n, v), device=self.device)
+        self.observation_spec = Composite(observation, shape=[n])
+        self.action_spec = Composite(action=Composite(action, shape=[n]), shape=[n])
+        self.reward_spec = numbers(1)
+        self.done_spec = Composite(done=flags(1), terminated=flags(1), truncated=flags(1), shape=[n])
+
+    @property
+    def task(self) -> Task:
+        """The task."""
+        return self.engine.task
+
+    @property
+    def bodies(self) -> tuple[Any, ...]:
+        """The body of each world."""
+        return self.engine.bodies
+
+    @property
+    def grid_shape(self) -> tuple[int, int]:
+        """(rows, columns) of the padded grid."""
+        return self.engine.grid_shape
+
+    @property
+    def voxel_features(self) -> int:
+        """F, the number of features of a voxel."""
+        return N_FEATURES
+
+    @property
+    def score_ceiling(self) -> np.ndarray:
+        """(N,) the largest possible scores, NaN where they are not known."""
+        return self.engine.score_ceiling
+
+    def _observations(self) -> dict[str, torch.Tensor]:
+        """Returns the observations in fresh memory: the engine makes new arrays in every step."""
+        engine = self.engine
+        values = {
+            "voxels": torch.from_numpy(engine.voxels),
+            "occupancy": self._occupancy.clone(),
+            "actuators": self._actuators.clone(),
+            "task": torch.from_numpy(engine.features.astype(np.float32)),
+            "com": torch.from_numpy(engine.com),
+            "score": torch.from_numpy(engine.score.copy()).unsqueeze(-1),
+            "return": torch.from_numpy(engine.returns.copy()).unsqueeze(-1),
+            "unstable": torch.from_numpy(engine.unstable.copy()).unsqueeze(-1),
+        }
+        flat = engine.flat
+        if flat is not None:
+            values["observation"] = torch.from_numpy(flat)
+        return values
+
+    def _pack(self, values: dict[str, torch.Tensor]) -> TensorDict:
+        return TensorDict(values, batch_size=self.batch_size, device=self.device)
+
+    def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: Any) -> TensorDict:
+        mask = None
+        if tensordict is not None and "_reset" in tensordict.keys():
+            mask = tensordict["_reset"].reshape(self.engine.num_worlds).cpu().numpy()
+        self.engine.reset(mask)
+        return self._pack(self._observations())
+
+    def _step(self, tensordict: TensorDictBase) -> TensorDict:
+        action = tensordict["action"]
+        actuation = action["actuation"].detach().cpu().numpy()
+        stiffness = action["stiffness"].detach().cpu().numpy() if self.engine.material == "reactive" else None
+        self.engine.step(actuation, stiffness)
+        terminated = torch.from_numpy(self.engine.terminated.copy()).unsqueeze(-1)
+        truncated = torch.from_numpy(self.engine.truncated.copy()).unsqueeze(-1)
+        values = self._observations() | {
+            "reward": torch.from_numpy(self.engine.reward.astype(np.float32)).unsqueeze(-1),
+            "terminated": terminated,
+            "truncated": truncated,
+            "done": terminated | truncated,
+        }
+        return self._pack(values)
+
+    def render(self, width: int = 640, height: int = 320, view: str = "types") -> torch.Tensor:
+        """Returns pictures of all worlds, uint8 [N, height, width, 3], see `Renderer`.
+
+        Videos: `Compose(PixelRenderTransform(width=160, height=80), VideoRecorder(logger, tag))`.
+        """
+        renderer = self._renderer
+        if renderer is None or (renderer.width, renderer.height, renderer.view) != (width, height, view):
+            renderer = self._renderer = Renderer(self.engine, width, height, view)
+        pictures = np.stack([renderer.frame(world) for world in range(self.engine.num_worlds)])
+        return torch.from_numpy(pictures).to(self.device)
+
+    def _set_seed(self, seed: int | None) -> None:
+        self.engine.set_seed(seed)
+
+    def get_extra_state(self) -> dict[str, Any]:
+        """Returns everything that a step can change, as tensors, for `set_extra_state`."""
+        return to_tensors(self.engine.state())
+
+    def set_extra_state(self, state: dict[str, Any]) -> None:
+        """Takes up a state of an environment made with the same arguments: a rollout goes on, or is forked, exactly."""
+        self.engine.set_state(to_arrays(state))
+
+
+def to_tensors(value: Any) -> Any:
+    """Returns a tree of dicts and lists with its arrays as tensors, which torch saves and loads without pickle."""
+    if isinstance(value, dict):
+        return {key: to_tensors(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [to_tensors(item) for item in value]
+    return torch.from_numpy(value) if isinstance(value, np.ndarray) else value
+
+
+def to_arrays(value: Any) -> Any:
+    """Returns a tree of dicts and lists with its tensors as arrays."""
+    if isinstance(value, dict):
+        return {key: to_arrays(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [to_arrays(item) for item in value]
+    return value.cpu().numpy() if isinstance(value, torch.Tensor) else value

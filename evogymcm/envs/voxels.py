@@ -1,0 +1,89 @@
+"""Per-voxel observations: what each voxel of each body senses, on the padded grid.
+
+Features of a voxel, in order: its type (4, one-hot: rigid, soft, horizontal, vertical actuator), the positions of its
+corners relative to the COM (8: x of TL, TR, BL, BR, then y; metres), their velocities relative to the COM's (8), its
+present stiffness, its last actuation, its place in its own body array (2: row and column, from -1 to 1), and the types
+of its connected neighbours above, right, below, left (16, one-hot). Cells without a voxel hold zeros.
+"""
+
+import numpy as np
+
+from evogymcm.body import Body
+from evogymcm.sim import lanes
+from evogymcm.sim._jit import kernel
+from evogymcm.sim.constants import MISSING
+from evogymcm.sim.springs import VX, VY, X, Y
+from evogymcm.sim.topology import Topology
+
+N_TYPES = 4
+POSITIONS = N_TYPES
+VELOCITIES = POSITIONS + 8
+STIFFNESS = VELOCITIES + 8
+ACTUATION = STIFFNESS + 1
+PLACE = ACTUATION + 1
+NEIGHBOURS = PLACE + 2
+N_FEATURES = NEIGHBOURS + 4 * N_TYPES
+
+
+def voxel_template(body: Body, topology: Topology, grid_shape: tuple[int, int]) -> np.ndarray:
+    """Returns (V, N_FEATURES) float32: a body's features that never change, zero elsewhere."""
+    rows, columns = grid_shape
+    grid = np.zeros((rows, columns, N_FEATURES), np.float32)
+    joined = {tuple(pair) for pair in body.connections.T.tolist()}
+    joined |= {(b, a) for a, b in joined}
+    for row, column in topology.cells.tolist():
+        features = grid[row, column]
+        features[body.grid[row, column] - 1] = 1.0
+        features[PLACE] = 2 * row / (body.rows - 1) - 1 if body.rows > 1 else 0.0
+        features[PLACE + 1] = 2 * column / (body.cols - 1) - 1 if body.cols > 1 else 0.0
+        here = row * body.cols + column
+        for side, (down, right) in enumerate(((-1, 0), (0, 1), (1, 0), (0, -1))):
+            r, c = row + down, column + right
+            is_cell = 0 <= r < body.rows and 0 <= c < body.cols
+            if is_cell and (here, r * body.cols + c) in joined:
+                features[NEIGHBOURS + side * N_TYPES + body.grid[r, c] - 1] = 1.0
+    return grid.reshape(rows * columns, N_FEATURES)
+
+
+@kernel
+def fill_voxels(
+    points: np.ndarray,
+    cells: np.ndarray,
+    corner_points: np.ndarray,
+    columns: int,
+    worlds: np.ndarray,
+    com: np.ndarray,
+    velocity: np.ndarray,
+    stiffness: np.ndarray,
+    actuation: np.ndarray,
+    out: np.ndarray,
+) -> None:
+    """Fills in the features that change, of one block's worlds.
+
+    Args:
+        points: (N_POINT_ROWS, P, 8) state.
+        cells: (c, 2) row and column of the robot's voxels.
+        corner_points: (c, 4) their points.
+        columns: Of the padded grid.
+        worlds: (8,) world of each lane, MISSING for none.
+        com: (N, 2) robots' COM.
+        velocity: (N, 2) robots' COM velocity.
+        stiffness: (N, V) present stiffness.
+        actuation: (N, V) last actuation.
+        out: (N, V, N_FEATURES) float32.
+    """
+    for lane in range(lanes.N_LANES):
+        world = worlds[lane]
+        if world == MISSING:
+            continue
+        cx, cy, ux, uy = com[world, 0], com[world, 1], velocity[world, 0], velocity[world, 1]
+        for i in range(cells.shape[0]):
+            v = cells[i, 0] * columns + cells[i, 1]
+            for k in range(4):
+                p = corner_points[i, k]
+                out[world, v, POSITIONS + k] = points[X, p, lane] - cx
+                out[world, v, POSITIONS + 4 + k] = points[Y, p, lane] - cy
+                out[world, v, VELOCITIES + k] = points[VX, p, lane] - ux
+                out[world, v, VELOCITIES + 4 + k] = points[VY, p, lane] - uy
+            out[world, v, STIFFNESS] = stiffness[world, v]
+            out[world, v, ACTUATION] = actuation[world, v]

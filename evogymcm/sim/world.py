@@ -1,0 +1,292 @@
+"""Worlds: named objects on a grid of cells, read from pictures or from the EvoGym Design Tool's JSON."""
+
+import json
+import os
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from evogymcm._grid import (
+    CELL_CHARS,
+    EMPTY,
+    Connections,
+    Grid,
+    check_connections,
+    check_grid,
+    full_connections,
+    grid_from_rows,
+    grid_rows,
+)
+from evogymcm.sim._design_tool import read_object, write_object
+
+WORLD_DIR = Path(__file__).parent / "worlds"
+PREFAB_DIR = WORLD_DIR / "prefabs"
+ROBOT = "robot"  # the name of the object that is simulated first
+_HEADER = re.compile(r"(?P<name>.+) at (?P<x>-?\d+) (?P<y>-?\d+)(?: is (?P<prefab>\S+))?$")
+
+
+@dataclass(frozen=True, eq=False)
+class WorldObject:
+    """A named piece of voxels, joined where `connections` say so. Equal content makes equal objects.
+
+    Args:
+        name: Its name, unique in a world.
+        grid: Cell codes 0 to 5 of shape (rows, cols), first row on top. Stored as a read-only int8 copy.
+        origin: World cell (x right, y up, from 0) of the grid's lower-left corner.
+        connections: Joined pairs of flat row-major indices into the grid, of shape (2, k). None joins all
+            side-adjacent voxels.
+
+    Raises:
+        ValueError: The name is empty, the grid is not valid or has no voxel, the origin is negative, or a
+            connection does not join two side-adjacent voxels.
+    """
+
+    name: str
+    grid: Grid
+    origin: tuple[int, int]
+    connections: Connections | None = None
+
+    def __post_init__(self) -> None:
+        if not self.name.strip() or "\n" in self.name:
+            raise ValueError(f"object name: got {self.name!r}, expected one line of text")
+        grid = check_grid(self.grid, len(CELL_CHARS))
+        if not grid.any():
+            raise ValueError(f"object {self.name!r} has no voxel")
+        x, y = (int(value) for value in self.origin)
+        if x < 0 or y < 0:
+            raise ValueError(f"object {self.name!r}: got origin {(x, y)}, expected cells counted from 0")
+        grid.flags.writeable = False
+        object.__setattr__(self, "grid", grid)
+        object.__setattr__(self, "origin", (x, y))
+        if self.connections is not None:
+            connections = check_connections(self.connections, grid)
+            connections.flags.writeable = False
+            is_full = np.array_equal(connections, full_connections(grid))
+            object.__setattr__(self, "connections", None if is_full else connections)
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns of the grid."""
+        return self.grid.shape[0], self.grid.shape[1]
+
+    @property
+    def end(self) -> tuple[int, int]:
+        """World cell (x, y) just beyond the grid's upper-right corner."""
+        return self.origin[0] + self.grid.shape[1], self.origin[1] + self.grid.shape[0]
+
+    def _key(self) -> tuple[object, ...]:
+        connections = None if self.connections is None else self.connections.tobytes()
+        return self.name, self.origin, self.shape, self.grid.tobytes(), connections
+
+    def __eq__(self, other: object) -> bool:
+        return self._key() == other._key() if isinstance(other, WorldObject) else NotImplemented
+
+    def __hash__(self) -> int:
+        return hash(self._key())
+
+
+@dataclass(frozen=True)
+class World:
+    """Objects on a grid, in the order of adding.
+
+    As in EvoGym, the whole bounding rectangle of an object must be free of voxels when it is added, but later
+    objects may stand in its empty cells. Width and height carry no physics.
+
+    Args:
+        width: Cells across.
+        height: Cells up.
+        objects: The objects.
+
+    Raises:
+        ValueError: Two objects have one name, an object does not fit in the grid, or its rectangle is not free.
+    """
+
+    width: int
+    height: int
+    objects: tuple[WorldObject, ...] = ()
+
+    def __post_init__(self) -> None:
+        if self.width < 1 or self.height < 1:
+            raise ValueError(f"world: got width {self.width} and height {self.height}, expected both at least 1")
+        cells = np.full((self.height, self.width), -1)  # which object has a voxel there; row 0 at the bottom
+        names: set[str] = set()
+        for number, obj in enumerate(self.objects):
+            if obj.name in names:
+                raise ValueError(f"object {obj.name!r}: the world already has one of that name")
+            names.add(obj.name)
+            (x, y), (right, top) = obj.origin, obj.end
+            if right > self.width or top > self.height:
+                raise ValueError(
+                    f"object {obj.name!r}: ends at {(right, top)}, outside the {self.width} x {self.height} world"
+                )
+            rectangle = cells[y:top, x:right]
+            if (rectangle >= 0).any():
+                raise ValueError(
+                    f"object {obj.name!r}: its bounding rectangle from {(x, y)} to {(right, top)} must be free, but "
+                    f"{self.objects[rectangle.max()].name!r} has voxels there"
+                )
+            rectangle[obj.grid[::-1] != EMPTY] = number
+
+    def __getitem__(self, name: str) -> WorldObject:
+        """Returns the object of that name."""
+        for obj in self.objects:
+            if obj.name == name:
+                return obj
+        raise KeyError(f"{name!r}: the world's objects are {', '.join(obj.name for obj in self.objects)}")
+
+    def place(self, obj: WorldObject) -> "World":
+        """Returns this world, grown where needed, with one more object.
+
+        Raises:
+            ValueError: The name is taken or the object's bounding rectangle is not free.
+        """
+        right, top = obj.end
+        return World(max(self.width, right), max(self.height, top), (*self.objects, obj))
+
+    def simulation_order(self) -> tuple[WorldObject, ...]:
+        """Returns the objects as EvoGym simulates them: the robot first, then by name in plain string order."""
+        return tuple(sorted(self.objects, key=lambda obj: (obj.name != ROBOT, obj.name)))
+
+    @classmethod
+    def load(cls, name: str) -> "World":
+        """Returns the world of that name among those that come with the package, see `world_names`.
+
+        Raises:
+            ValueError: There is none.
+        """
+        return cls.from_picture(_read(WORLD_DIR, name))
+
+    @classmethod
+    def from_picture(cls, text: str, name: str = "ground") -> "World":
+        """Returns the world drawn in a text.
+
+        A picture is rows of cells (`.` empty, `R` rigid, `S` soft, `H` and `V` actuators, `F` fixed), top row first.
+        Where it has no headers, it is one object at the origin. Otherwise each object has a header and then its
+        rows, and is added in that order; an object that is a prefab needs no rows:
+
+            size 60 9
+            object ground at 0 0
+            F....F
+            FFFFFF
+            object block_0 at 1 1 is rigid_2x2
+
+        Lines that begin with `#`, and blank ones, are skipped. Without a size, the world is as large as its objects.
+
+        Args:
+            text: The picture.
+            name: The name of the object of a picture without headers.
+
+        Raises:
+            ValueError: A header or a row cannot be read, or the objects do not fit together.
+        """
+        size = None
+        blocks: list[tuple[str, list[str]]] = []
+        for line in (raw.strip() for raw in text.splitlines()):
+            if line.startswith("size "):
+                size = _read_size(line)
+            elif line.startswith("object "):
+                blocks.append((line.removeprefix("object "), []))
+            elif line and not line.startswith("#"):
+                if not blocks:
+                    blocks.append((f"{name} at 0 0", []))
+                blocks[-1][1].append(line)
+        if not blocks:
+            raise ValueError("picture: it has no cells")
+        objects = tuple(_read_block(header, rows) for header, rows in blocks)
+        if size is None:
+            size = max(obj.end[0] for obj in objects), max(obj.end[1] for obj in objects)
+        return cls(*size, objects)
+
+    def to_picture(self) -> str:
+        """Returns the text that `from_picture` turns into this world.
+
+        Raises:
+            ValueError: An object has other connections than all of them, which a picture cannot show.
+        """
+        lines = [f"size {self.width} {self.height}"]
+        for obj in self.objects:
+            if obj.connections is not None:
+                raise ValueError(f"object {obj.name!r}: a picture cannot show connections; use to_design_tool()")
+            lines += ["", f"object {obj.name} at {obj.origin[0]} {obj.origin[1]}", *grid_rows(obj.grid)]
+        return "\n".join(lines) + "\n"
+
+    @classmethod
+    def from_design_tool(cls, source: str | os.PathLike[str] | Mapping[str, Any]) -> "World":
+        """Returns a world saved by the EvoGym Design Tool, its objects cropped to their bounding rectangles.
+
+        Args:
+            source: The JSON file's path or its parsed content: `grid_width`, `grid_height` and `objects`, each of
+                which has `indices` (y * grid_width + x, y up), `types` (cell codes) and `neighbors` (index to the
+                list of joined indices; where absent, all side-adjacent voxels are joined).
+
+        Raises:
+            ValueError: Something is missing, indices or types are out of range, or the objects do not fit together.
+        """
+        content = source if isinstance(source, Mapping) else json.loads(Path(source).read_text(encoding="utf-8"))
+        missing = [key for key in ("grid_width", "grid_height", "objects") if key not in content]
+        if missing:
+            raise ValueError(f"Design Tool world: {', '.join(missing)} missing, got {', '.join(content)}")
+        width, height = int(content["grid_width"]), int(content["grid_height"])
+        objects = (
+            WorldObject(name, *read_object(name, entry, width, height)) for name, entry in content["objects"].items()
+        )
+        return cls(width, height, tuple(objects))
+
+    def to_design_tool(self) -> dict[str, Any]:
+        """Returns the content of a Design Tool JSON file for this world."""
+        objects = {obj.name: write_object(obj.grid, obj.origin, obj.connections, self.width) for obj in self.objects}
+        return {"grid_width": self.width, "grid_height": self.height, "objects": objects}
+
+
+def world_names() -> tuple[str, ...]:
+    """Returns the names of the worlds that come with the package."""
+    return _names(WORLD_DIR)
+
+
+def prefab_names() -> tuple[str, ...]:
+    """Returns the names of the prefabs: objects without a place."""
+    return _names(PREFAB_DIR)
+
+
+def load_prefab(name: str) -> Grid:
+    """Returns the cells of a prefab, int8 of shape (rows, cols).
+
+    Raises:
+        ValueError: There is none of that name.
+    """
+    return grid_from_rows(_read(PREFAB_DIR, name).split())
+
+
+def _names(folder: Path) -> tuple[str, ...]:
+    return tuple(sorted(path.stem for path in folder.glob("*.txt")))
+
+
+def _read(folder: Path, name: str) -> str:
+    """Returns the text of a file of package data."""
+    if name not in _names(folder):
+        raise ValueError(f"{name!r}: there is only {', '.join(_names(folder))}")
+    return (folder / f"{name}.txt").read_text(encoding="utf-8")
+
+
+def _read_size(line: str) -> tuple[int, int]:
+    """Returns the width and height in a line "size WIDTH HEIGHT"."""
+    match = re.fullmatch(r"size (\d+) (\d+)", line)
+    if match is None:
+        raise ValueError(f"picture: got the line {line!r}, expected 'size WIDTH HEIGHT'")
+    return int(match[1]), int(match[2])
+
+
+def _read_block(header: str, rows: list[str]) -> WorldObject:
+    """Returns the object of a header "NAME at X Y" with rows, or "NAME at X Y is PREFAB" without."""
+    match = _HEADER.fullmatch(header)
+    if match is None or bool(match["prefab"]) == bool(rows):
+        raise ValueError(
+            f"picture: got the header 'object {header}' with {len(rows)} rows, "
+            "expected 'object NAME at X Y' and rows, or 'object NAME at X Y is PREFAB' and none"
+        )
+    grid = load_prefab(match["prefab"]) if match["prefab"] else grid_from_rows(rows)
+    return WorldObject(match["name"], grid, (int(match["x"]), int(match["y"])))

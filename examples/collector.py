@@ -1,0 +1,27 @@
+"""Collects rollouts of many different robots with TorchRL's own collector."""
+
+import numpy as np
+from torchrl.collectors import Collector
+from torchrl.envs import RewardSum, TransformedEnv
+
+import evogymcm as cm
+from evogymcm.algos import make_actor
+from evogymcm.envs import SoftRobotEnv
+
+
+def main(num_worlds: int = 32, steps: int = 250, batches: int = 2) -> None:
+    """Prints how far the eight robots of a random population get."""
+    rng = np.random.default_rng(0)
+    bodies = [cm.sample_body((5, 5), rng) for _ in range(8)]
+    env = TransformedEnv(SoftRobotEnv("Walker-v0", bodies, num_worlds, material="reactive"), RewardSum())
+    frames = num_worlds * steps
+    options = {"frames_per_batch": frames, "total_frames": batches * frames, "auto_register_policy_transforms": False}
+    collector = Collector(env, make_actor(env), **options)
+    for data in collector:  # a TensorDict of shape [num_worlds, steps]
+        reached = data["next", "episode_reward"][:, -1, 0].reshape(-1, len(bodies)).mean(0)
+        print(", ".join(f"{body.text}: {metres:+.3f}" for body, metres in zip(bodies, reached.tolist(), strict=True)))
+    collector.shutdown()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,29 @@
+"""Trains one robot to walk, first with control of its actuators alone, then also of its stiffness."""
+
+from functools import partial
+
+from evogymcm.algos import PPOConfig, Progress, train
+from evogymcm.envs import SoftRobotEnv
+
+BODY = "HHHHH/HHHHH/HH.HH/VV.VV/VV.VV"  # rows of voxels: H and V actuators, S soft, R rigid, '.' empty
+
+
+def show(progress: Progress) -> None:
+    """Prints the latest row of a run's table."""
+    print(f"  {progress.env_steps:8} env-steps, mean reward {progress.row.get('reward', 0.0):+.5f}")
+
+
+def main(total_steps: int = 200_000) -> None:
+    """Trains in both settings and prints the scores of the final policies."""
+    config = PPOConfig(total_steps=total_steps, num_worlds=64, seed=0)
+    for material in ("invariant", "reactive"):
+        print(material)
+        make_env = partial(SoftRobotEnv, "Walker-v0", bodies=BODY, material=material)
+        result = train(make_env, config, progress=show)
+        if result.final is not None:  # None where the run was stopped with Ctrl-C
+            score, ceiling = result.final.score[0], result.final.ceiling[0]
+            print(f"  score {score:.3f} of at most {ceiling:.2f}, {result.seconds:.0f} s")
+
+
+if __name__ == "__main__":
+    main()

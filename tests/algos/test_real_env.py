@@ -1,0 +1,81 @@
+"""Training in the simulator: the same weights for any number of threads, and after a kill at any moment."""
+
+import functools
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import asdict, replace
+
+import pytest
+import torch
+
+import evogymcm as cm
+from evogymcm.algos import PPOConfig, RunFolder, evaluate, make_actor, train
+from evogymcm.envs import SoftRobotEnv
+
+TINY = PPOConfig(
+    total_steps=4096, num_worlds=16, rollout_steps=16, epochs=2, minibatch=128, hidden=16, eval_interval=512
+)
+SHORT = replace(cm.tasks["Walker-v0"], time_limit=40)  # several episodes in a short run
+make_short = functools.partial(SoftRobotEnv, SHORT, bodies="Walk_Bot", material="reactive", num_threads=1)
+make_walker = functools.partial(SoftRobotEnv, "Walker-v0", bodies="Walk_Bot", material="reactive", num_threads=1)
+
+
+def _train_tiny(folder: str) -> None:
+    """Run in a process of its own, to be killed."""
+    train(make_short, TINY, run=RunFolder(folder, asdict(TINY), resume=True))
+
+
+def _weights(result) -> list[torch.Tensor]:
+    return [value for net in (result.actor, result.critic) for value in net.state_dict().values()]
+
+
+def _same(first, second) -> bool:
+    return all(torch.equal(a, b) for a, b in zip(_weights(first), _weights(second), strict=True))
+
+
+def test_untrained_policy_on_a_real_task():
+    env = make_walker(num_worlds=2)
+    result = evaluate(make_actor(env), env)
+    assert result.length.tolist() == [500, 500]
+    assert result.score[0] == result.score[1]
+    assert abs(result.score[0]) < 1
+    assert result.ceiling[0] == pytest.approx(9.55, abs=0.01)
+
+
+@pytest.mark.parametrize("task", ["AreaMaximizer-v0", "CaveCrawler-v0"])
+def test_tasks_with_and_without_a_ceiling(task):
+    robot = {"AreaMaximizer-v0": "Amax_Bot", "CaveCrawler-v0": "Cave_Bot"}[task]
+    env = SoftRobotEnv(task, bodies=robot, material="invariant", num_threads=1)
+    result = evaluate(make_actor(env), env)
+    assert ("fraction_of_ceiling" in result.summary()) == (task == "CaveCrawler-v0")
+
+
+@pytest.mark.slow
+def test_threads_of_the_simulator_change_nothing():
+    config = PPOConfig(total_steps=1024, num_worlds=32, rollout_steps=16, minibatch=256, hidden=16, eval_interval=0)
+    runs = [train(functools.partial(make_short, num_threads=threads), config) for threads in (1, 3)]
+    assert _same(*runs)
+
+
+@pytest.mark.slow
+def test_a_run_killed_at_any_moment_goes_on_to_the_same_weights(tmp_path):
+    whole = train(make_short, TINY)
+    folder = tmp_path / "run"
+    call = f"from tests.algos.test_real_env import _train_tiny; _train_tiny({str(folder)!r})"
+    process = subprocess.Popen([sys.executable, "-c", call], stderr=subprocess.DEVNULL)
+    deadline = time.monotonic() + 120
+    while not (folder / "checkpoint.pt").exists() and process.poll() is None and time.monotonic() < deadline:
+        time.sleep(0.01)
+    time.sleep(random.uniform(0, 0.8 * whole.seconds))
+    if process.poll() is None:
+        os.kill(process.pid, signal.SIGKILL)
+    process.wait()
+    assert (folder / "checkpoint.pt").exists()
+    resumed = train(make_short, TINY, run=RunFolder(folder, asdict(TINY), resume=True))
+    assert resumed.finished
+    assert _same(whole, resumed)
+    assert [row["env_steps"] for row in resumed.rows] == [row["env_steps"] for row in whole.rows]

@@ -1,0 +1,150 @@
+"""PPO on the toy: it learns, repeats itself exactly, and can be stopped and resumed."""
+
+import functools
+import json
+import os
+import signal
+from dataclasses import asdict, replace
+
+import pytest
+import torch
+
+from evogymcm.algos import PPOConfig, RunFolder, Trainer, evaluate, make_actor, train
+from tests.algos.toy_env import SMALL, WIDE, ToyEnv
+
+TINY = PPOConfig(total_steps=960, num_worlds=8, rollout_steps=20, epochs=2, minibatch=40, hidden=16, eval_interval=400)
+make_toy = functools.partial(ToyEnv, bodies=SMALL)
+
+
+def _weights(result) -> list[torch.Tensor]:
+    return [value.clone() for net in (result.actor, result.critic) for value in net.state_dict().values()]
+
+
+def _same(first: list[torch.Tensor], second: list[torch.Tensor]) -> bool:
+    return all(torch.equal(a, b) for a, b in zip(first, second, strict=True))
+
+
+def test_it_learns_to_walk():
+    config = PPOConfig(
+        total_steps=14_000, num_worlds=16, rollout_steps=40, minibatch=320, learning_rate=3e-3, gamma=0.9,
+        reward_scale=10, hidden=32, eval_interval=0,
+    )  # fmt: skip
+    result = train(make_toy, config)
+    untrained, trained = result.rows[0]["score"], result.final.score.mean()
+    assert untrained < 0.1
+    assert trained > 0.5
+    assert result.best_score == pytest.approx(trained)
+    assert result.finished
+
+
+def test_several_bodies_learn_in_one_batch():
+    config = replace(TINY, eval_worlds=2)
+    result = train(functools.partial(ToyEnv, bodies=[SMALL, WIDE]), config)
+    assert result.final.score.shape == (2,)
+
+
+@pytest.mark.parametrize("material", ["reactive", "invariant"])
+def test_same_seed_same_policy(material):
+    make = functools.partial(make_toy, material=material, noise=0.1)
+    first, second = train(make, TINY), train(make, TINY)
+    assert _same(_weights(first), _weights(second))
+    assert first.rows[-1]["score"] == second.rows[-1]["score"]
+    assert not _same(_weights(first), _weights(train(make, replace(TINY, seed=1))))
+
+
+def test_global_state_is_left_alone():
+    torch.manual_seed(5)
+    expected = torch.rand(3)
+    torch.manual_seed(5)
+    threads = torch.get_num_threads()
+    train(make_toy, TINY)
+    assert torch.equal(torch.rand(3), expected)
+    assert torch.get_num_threads() == threads
+
+
+def test_rows_and_progress_tell_the_whole_run():
+    told = []
+    result = train(make_toy, TINY, progress=told.append)
+    assert [row["env_steps"] for row in result.rows] == list(range(0, 961, 160))
+    assert [progress.row for progress in told] == result.rows
+    assert [row["env_steps"] for row in result.rows if "score" in row] == [0, 480, 800, 960]
+    assert all(row["kl"] == pytest.approx(0, abs=0.2) for row in result.rows[1:])
+
+
+@pytest.mark.parametrize("updates", [1, 4])
+def test_a_stopped_run_goes_on_to_the_same_result(tmp_path, updates):
+    make = functools.partial(make_toy, noise=0.1)
+    whole = train(make, TINY)
+    calls = iter(range(100))
+    run = RunFolder(tmp_path / "run", asdict(TINY))
+    stopped = train(make, TINY, run=run, should_stop=lambda: next(calls) >= updates)
+    assert not stopped.finished
+    assert stopped.final is None
+    assert stopped.env_steps == 160 * updates
+    told = []
+    resumed = train(make, TINY, run=RunFolder(tmp_path / "run", asdict(TINY), resume=True), progress=told.append)
+    assert told[0].env_steps == 160 * updates
+    assert resumed.finished
+    assert _same(_weights(whole), _weights(resumed))
+    timeless = [{k: v for k, v in row.items() if k != "seconds"} for row in resumed.rows]
+    assert timeless == [{k: v for k, v in row.items() if k != "seconds"} for row in whole.rows]
+
+
+def test_a_killed_run_goes_on_from_its_last_checkpoint(tmp_path):
+    whole = train(make_toy, TINY)
+
+    def crash(progress):
+        if progress.env_steps == 640:
+            raise RuntimeError("power cut")
+
+    run = RunFolder(tmp_path / "run", asdict(TINY))
+    with pytest.raises(RuntimeError, match="power cut"):
+        train(make_toy, TINY, run=run, progress=crash)
+    assert run.rows()[-1]["env_steps"] == 640  # the checkpoint is of 480
+    resumed = train(make_toy, TINY, run=RunFolder(tmp_path / "run", asdict(TINY), resume=True))
+    assert _same(_weights(whole), _weights(resumed))
+    assert [row["env_steps"] for row in resumed.rows] == [row["env_steps"] for row in whole.rows]
+
+
+def test_ctrl_c_ends_after_the_update_with_a_checkpoint(tmp_path):
+    def press(progress):
+        if progress.env_steps == 320:
+            os.kill(os.getpid(), signal.SIGINT)
+
+    run = RunFolder(tmp_path / "run", asdict(TINY))
+    result = train(make_toy, TINY, run=run, progress=press)
+    assert not result.finished
+    assert run.load("checkpoint")["trainer"]["env_steps"] == 320
+
+
+def test_run_folder_holds_policies_that_load(tmp_path):
+    run = RunFolder(tmp_path / "run", asdict(TINY))
+    result = train(make_toy, TINY, run=run)
+    actor = make_actor(make_toy(num_worlds=1), TINY.hidden)
+    actor.load_state_dict(run.load("final")["actor"])
+    assert evaluate(actor, make_toy(num_worlds=1)).score[0] == result.final.score[0]
+    best = run.load("best")
+    actor.load_state_dict(best["actor"])
+    assert evaluate(actor, make_toy(num_worlds=1)).score[0] == best["row"]["score"] == result.best_score
+    assert run.rows() == json.loads(json.dumps(result.rows))
+    again = train(make_toy, TINY, run=RunFolder(tmp_path / "run", asdict(TINY), resume=True))
+    assert again.env_steps == result.env_steps
+    assert again.final.score[0] == result.final.score[0]
+
+
+def test_bad_settings_are_refused():
+    with pytest.raises(ValueError, match="epochs"):
+        PPOConfig(epochs=0)
+    with pytest.raises(ValueError, match="gamma"):
+        PPOConfig(gamma=1.5)
+    with pytest.raises(ValueError, match="seed"):
+        PPOConfig(seed=-1)
+
+
+def test_trainer_keeps_exploring_differently_each_update():
+    trainer = Trainer(make_toy, TINY)
+    trainer.update()
+    first = trainer.collector.rollout()["action", "actuation"].clone()
+    trainer.update()
+    assert not torch.equal(first, trainer.collector.rollout()["action", "actuation"])
+    trainer.close()

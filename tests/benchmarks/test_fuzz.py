@@ -1,0 +1,31 @@
+"""Random bodies, materials and hard actions: nothing breaks unseen."""
+
+import importlib.util
+import sys
+from pathlib import Path
+
+import pytest
+
+SCRIPT = Path(__file__).resolve().parents[2] / "benchmarks" / "fuzz.py"
+
+
+@pytest.fixture(scope="module")
+def fuzz():
+    spec = importlib.util.spec_from_file_location("fuzz", SCRIPT)
+    module = importlib.util.module_from_spec(spec)
+    sys.modules["fuzz"] = module  # dataclasses look their module up
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_a_few_steps(fuzz):
+    summary = fuzz.fuzz(8_000, seed=1)
+    assert summary.env_steps >= 8_000
+    assert summary.compared > 0
+
+
+@pytest.mark.slow
+def test_many_steps(fuzz):
+    summary = fuzz.fuzz(200_000, seed=2)
+    assert summary.env_steps >= 200_000
+    assert summary.unstable > 0  # otherwise the throw was not hard enough

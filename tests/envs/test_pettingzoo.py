@@ -1,0 +1,326 @@
+"""parallel_env: bodies as PettingZoo agents that end at different times, and new designs between episodes."""
+
+import copy
+import pickle
+import warnings
+
+import numpy as np
+import pytest
+import torch
+from pettingzoo import ParallelEnv
+from pettingzoo.test import parallel_api_test, parallel_seed_test
+from torchrl.envs import PettingZooWrapper, check_env_specs
+
+import evogymcm as cm
+from evogymcm.envs import parallel_env
+from tests.envs.lottery import LOTTERY
+from tests.envs.tools import SMALL, TALL, WIDE, make_engine
+
+MIXED = (SMALL, WIDE, TALL)  # padded to 3x4
+MATERIALS = ("invariant", "reactive")
+INFO = {"score", "return", "unstable", "com_x", "com_y"}
+
+
+def make_env(task="Walker-v0", bodies=MIXED, **options):
+    return parallel_env(task, bodies, **{"material": "reactive", "num_threads": 1} | options)
+
+
+def sample(env, agents=None):
+    return {agent: env.action_space(agent).sample() for agent in (env.agents if agents is None else agents)}
+
+
+def seed_actions(env, seed=0):
+    for i, agent in enumerate(env.possible_agents):
+        env.action_space(agent).seed(seed + i)
+
+
+def play(env, steps, seed=0, reset_seed=None, options=None):
+    """What reset and every step returned, under random actions."""
+    seed_actions(env, seed)
+    shown = [env.reset(reset_seed, options)]
+    for _ in range(steps):
+        shown.append(env.step(sample(env)))
+    return shown
+
+
+def assert_same(got, expected):
+    """Two trees of dicts, sequences, arrays and numbers are equal."""
+    assert type(got) is type(expected)
+    if isinstance(got, dict):
+        assert got.keys() == expected.keys()
+        for key in got:
+            assert_same(got[key], expected[key])
+    elif isinstance(got, list | tuple):
+        assert len(got) == len(expected)
+        for one, other in zip(got, expected, strict=True):
+            assert_same(one, other)
+    else:
+        np.testing.assert_array_equal(got, expected)
+
+
+@pytest.mark.parametrize("material", MATERIALS)
+@pytest.mark.parametrize("task", [*sorted(cm.tasks), LOTTERY], ids=lambda task: getattr(task, "id", task))
+def test_pettingzoos_own_tests(task, material):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        parallel_api_test(make_env(task, (SMALL, WIDE), material=material), num_cycles=12)
+        parallel_seed_test(lambda: make_env(task, (SMALL, WIDE), material=material), num_cycles=12)
+
+
+@pytest.mark.parametrize("material", MATERIALS)
+def test_spaces_hold_what_is_given(material):
+    env = make_env(material=material)
+    assert isinstance(env, ParallelEnv)
+    assert env.possible_agents == ["body_0", "body_1", "body_2"]
+    assert env.agents == []
+    heads = {"actuation", "stiffness"} if material == "reactive" else {"actuation"}
+    for observations, *_, infos in play(env, 3):
+        for agent in env.possible_agents:
+            assert set(observations[agent]) == {"voxels", "occupancy", "actuators", "task"}
+            assert env.observation_space(agent).contains(observations[agent])
+            assert observations[agent]["voxels"].shape == (12, 40)
+            assert env.action_space(agent).spaces.keys() == heads
+            assert infos[agent].keys() == INFO
+            assert np.isfinite(list(infos[agent].values())).all()
+    assert env.state_space.contains(env.state())
+    occupancy = env.reset()[0]["body_1"]["occupancy"]
+    assert occupancy.tolist() == [1, 1, 1, 1, 1, 0, 0, 1, 0, 0, 0, 0]
+
+
+@pytest.mark.parametrize("material", MATERIALS)
+def test_steps_are_those_of_the_engine(material):
+    env, engine = make_env("DownStepper-v0", material=material), make_engine("DownStepper-v0", MIXED, material=material)
+    env.reset()
+    for _ in range(6):
+        actions = sample(env)
+        observations, rewards, terminated, truncated, infos = env.step(actions)
+        engine.step(*(np.stack([actions[a][head] for a in env.possible_agents]) for head in actions["body_0"]))
+        for i, agent in enumerate(env.possible_agents):
+            np.testing.assert_array_equal(observations[agent]["voxels"], engine.voxels[i])
+            np.testing.assert_array_equal(observations[agent]["task"], engine.features[i].astype(np.float32))
+            assert (rewards[agent], terminated[agent], truncated[agent]) == (engine.reward[i], False, False)
+            assert (infos[agent]["com_x"], infos[agent]["com_y"]) == tuple(engine.com[i])
+            assert (infos[agent]["score"], infos[agent]["return"]) == (engine.score[i], engine.returns[i])
+
+
+def test_bodies_end_at_their_own_time():
+    env = make_env(LOTTERY)
+    env.reset(seed=1)
+    lengths = dict.fromkeys(env.possible_agents, 0)
+    while env.agents:
+        live = env.agents
+        size, points = env.state().shape, [env.engine.simulator.positions(world=i) for i in range(3)]
+        # entries of bodies that have ended are ignored
+        observations, rewards, terminated, truncated, infos = env.step(sample(env, env.possible_agents))
+        assert all(list(given) == live for given in (observations, rewards, terminated, truncated, infos))
+        assert env.agents == [agent for agent in live if not terminated[agent]]
+        for i, agent in enumerate(env.possible_agents):
+            lengths[agent] += agent in live
+            has_moved = (env.engine.simulator.positions(world=i) != points[i]).any()
+            assert has_moved == (agent in live)  # no step in vain
+        assert env.state().shape == size
+    assert len(set(lengths.values())) > 1
+    assert list(lengths.values()) == env.engine.length.tolist()
+    assert env.step({}) == ({}, {}, {}, {}, {})
+    env.reset()
+    assert env.agents == env.possible_agents
+    assert not env.engine.length.any()
+
+
+def test_endings_do_not_touch_the_others():
+    bodies = [SMALL] * 4
+    env, alone = make_env(LOTTERY, bodies), make_env(LOTTERY, bodies[3:])
+    env.reset(seed=1)
+    alone.reset(seed=4)  # world 3's
+    while "body_3" in env.agents:
+        actions = sample(env)
+        shown, expected = env.step(actions), alone.step({"body_0": actions["body_3"]})
+        for part, other in zip(shown, expected, strict=True):
+            assert_same(part["body_3"], other["body_0"])
+    assert alone.agents == []
+
+
+def test_seeds_are_obeyed():
+    env, other = make_env(LOTTERY), make_env(LOTTERY, seed=7)
+    first = play(env, 9, reset_seed=3)
+    assert_same(play(other, 9, reset_seed=3), first)
+    assert_same(play(env, 9, reset_seed=3), first)
+    ends = [[list(step[0]) for step in play(env, 9, reset_seed=seed)] for seed in (3, 4, None, None)]
+    assert len({str(end) for end in ends}) == 4  # None goes on with the present numbers
+    assert_same(play(make_env(LOTTERY, seed=7), 9), play(make_env(LOTTERY, seed=7), 9))
+    designs = {"bodies": [TALL, SMALL, SMALL]}
+    shown = [
+        play(env, 9, reset_seed=3, options=designs),
+        play(make_env(LOTTERY, designs["bodies"], grid_shape=(3, 4)), 9, reset_seed=3),
+    ]
+    assert_same(*shown)
+
+
+def test_nothing_given_is_changed_later():
+    env = make_env()
+    shown = play(env, 2)
+    kept = copy.deepcopy(shown)
+    for step in shown:
+        for observation in step[0].values():
+            for values in observation.values():
+                assert values.flags.writeable
+    env.step(sample(env))
+    assert_same(shown, kept)
+    for observation in shown[-1][0].values():
+        for values in observation.values():
+            values[:] = 0  # nor does the environment look at what it gave away
+    env.reset()
+    assert_same(play(env, 3)[1:], play(make_env(), 3)[1:])
+
+
+def test_new_designs_between_episodes():
+    env = make_env(material="invariant", bodies=[TALL, WIDE])
+    spaces = [env.observation_space(agent) for agent in env.possible_agents]
+    bodies = [SMALL, WIDE]
+    fields = [
+        np.where(cm.as_body(body).occupancy, factor, 1.0) for body, factor in zip(bodies, (0.7, 1.5), strict=True)
+    ]
+    play(env, 2)
+    shown = play(env, 4, seed=2, options={"bodies": bodies, "stiffness": fields})
+    fresh = make_env(material="invariant", bodies=bodies, stiffness=fields, grid_shape=(3, 4))
+    assert_same(shown, play(fresh, 4, seed=2))
+    assert [env.observation_space(agent) for agent in env.possible_agents] == spaces
+    assert [body.text for body in env.bodies] == bodies
+    assert_same(play(env, 4, seed=2), shown)  # they stay
+    plain = play(env, 4, seed=2, options={"stiffness": None})
+    assert_same(plain, play(make_env(material="invariant", bodies=bodies, grid_shape=(3, 4)), 4, seed=2))
+
+
+def test_padding_changes_nothing_else():
+    small, large = make_env(), make_env(grid_shape=(5, 5))
+    cells = (np.arange(3)[:, None] * 5 + np.arange(4)).ravel()
+    small.reset()
+    large.reset()
+    for _ in range(3):
+        actions = sample(large)
+        fewer = {agent: {head: values[cells] for head, values in action.items()} for agent, action in actions.items()}
+        got, expected = large.step(actions), small.step(fewer)
+        for agent in small.possible_agents:
+            for key in ("voxels", "occupancy", "actuators"):
+                np.testing.assert_array_equal(got[0][agent][key][cells], expected[0][agent][key])
+                assert not np.delete(got[0][agent][key], cells, 0).any()
+        assert_same(got[1:], expected[1:])
+
+
+def test_copies_go_on_alike():
+    env = make_env(LOTTERY)
+    play(env, 2)
+    twins = [copy.deepcopy(env), pickle.loads(pickle.dumps(env))]
+    expected = [env.step(sample(env)) for _ in range(4)]
+    for twin in twins:
+        assert_same([twin.step(sample(twin)) for _ in range(4)], expected)
+
+
+@pytest.mark.filterwarnings("ignore:PettingZoo in TorchRL is tested")
+def test_torchrls_wrapper():
+    env = PettingZooWrapper(make_env(LOTTERY), use_mask=True, done_on_any=False, return_state=True)
+    check_env_specs(env)
+    assert env.group_map == {"body": ["body_0", "body_1", "body_2"]}
+    torch.manual_seed(0)
+    env.set_seed(1)
+    data = env.rollout(20, break_when_any_done=False)
+    mask = data["body", "mask"]
+    assert mask.any(1).all()
+    assert not mask.all()
+    assert data["next", "done"].any()
+    assert data["body", "action", "stiffness"].shape == (20, 3, 12)
+    assert set(data["body", "info"].keys()) == INFO
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"bodies": []}, "at least one"),
+        ({"bodies": ["SS"]}, "actuator"),
+        ({"task": "Nowhere-v0"}, "Nowhere-v0"),
+        ({"material": "soft"}, "material: got 'soft'"),
+        ({"stiffness": [np.ones((2, 3))] * 3}, "reactive"),
+        ({"grid_shape": (2, 4)}, r"shape \(3, 3\), the padded grid is \(2, 4\)"),
+        ({"render_mode": "ansi"}, "render_mode: got 'ansi'.*rgb_array"),
+    ],
+)
+def test_bad_arguments(options, message):
+    with pytest.raises(ValueError, match=message):
+        make_env(**options)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"bodies": [SMALL]}, "got 1, this environment has 3 agents"),
+        ({"bodies": [SMALL, SMALL, "HHHHH"]}, r"shape \(1, 5\), the padded grid is \(3, 4\)"),
+        ({"bodies": [SMALL, SMALL, "RR"]}, "actuator"),
+        ({"stiffness": [np.ones((2, 3))] * 3}, "reactive"),
+    ],
+)
+def test_bad_designs_leave_the_environment_as_it_was(options, message):
+    env = make_env()
+    play(env, 1)
+    seed_actions(env)
+    with pytest.raises(ValueError, match=message):
+        env.reset(options=options)
+    assert [body.text for body in env.bodies] == list(MIXED)
+    env.step(sample(env))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda actions: actions.pop("body_1"), r"got none for \['body_1'\]"),
+        (lambda actions: actions["body_1"].pop("stiffness"), r"body_1: got \['actuation'\], expected .*'stiffness'"),
+        (lambda actions: actions.update(body_1=np.ones(12)), "body_1: got ndarray, expected a dict"),
+        (lambda actions: actions["body_2"].update(actuation=np.ones(5)), r"actuation of body_2: got shape \(5,\).*12"),
+        (
+            lambda actions: actions["body_2"].update(stiffness=["much"] * 12),
+            r"stiffness of body_2: got \['much'.*expected numbers",
+        ),
+        (lambda actions: actions["body_0"]["stiffness"].fill(np.nan), "stiffness: got NaN in world 0"),
+    ],
+)
+def test_bad_actions(change, message):
+    env = make_env()
+    env.reset()
+    actions = sample(env)
+    change(actions)
+    with pytest.raises(ValueError, match=message):
+        env.step(actions)
+    assert not env.engine.length.any()
+
+
+def test_render():
+    pytest.importorskip("pygame")
+    env = make_env(render_mode="rgb_array", render_options={"width": 320, "height": 160})
+    env.reset()
+    first = env.render()
+    assert first.dtype == np.uint8
+    assert first.shape[1:] == (320, 3)
+    for _ in range(5):
+        env.step(sample(env))
+    assert (env.render() != first).any()
+    env.reset(options={"bodies": [WIDE, SMALL, TALL]})
+    assert (env.render() != first).any()
+    env.close()
+    assert make_env().render() is None
+
+
+def test_window(monkeypatch):
+    pytest.importorskip("pygame")
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    env = make_env(render_mode="human")
+    env.reset()
+    env.step(sample(env))
+    assert env.render() is None
+    env.close()
+    env.close()
+    env.step(sample(env))  # goes on without
+
+
+def test_unknown_view():
+    pytest.importorskip("pygame")
+    with pytest.raises(ValueError, match="view: got 'x-ray'"):
+        make_env(render_mode="rgb_array", render_options={"view": "x-ray"})

@@ -1,0 +1,145 @@
+"""Operations on eight lanes against numpy."""
+
+import operator
+
+import numpy as np
+import pytest
+
+from evogymcm.sim import lanes
+from evogymcm.sim._jit import kernel
+
+SPECIAL = np.array([np.nan, -np.inf, np.inf, -0.0, 0.0, 1e-310, 2.5, -3.0])
+
+
+@kernel
+def _compute(a, b, number, whole, out):
+    """Fills `out` with the result of every operation, one a row; a, b: (1, 1, 8), out: (1, n, 8)."""
+    x, y = lanes.load(a, 0, 0), lanes.load(b, 0, 0)
+    lanes.store(out, 0, 0, x + y)
+    lanes.store(out, 0, 1, x - y)
+    lanes.store(out, 0, 2, x * y)
+    lanes.store(out, 0, 3, x / y)
+    lanes.store(out, 0, 4, x + number)
+    lanes.store(out, 0, 5, x - number)
+    lanes.store(out, 0, 6, x * number)
+    lanes.store(out, 0, 7, x / number)
+    lanes.store(out, 0, 8, number + y)
+    lanes.store(out, 0, 9, number - y)
+    lanes.store(out, 0, 10, number * y)
+    lanes.store(out, 0, 11, number / y)
+    lanes.store(out, 0, 12, -x)
+    lanes.store(out, 0, 13, x * whole)  # integers become numbers
+    lanes.store(out, 0, 14, number)
+    lanes.store(out, 0, 15, lanes.spread(number))
+    lanes.store(out, 0, 16, lanes.sqrt(lanes.absolute(y)))
+    lanes.store(out, 0, 17, lanes.absolute(x))
+    lanes.store(out, 0, 18, lanes.minimum(x, y))
+    lanes.store(out, 0, 19, lanes.maximum(x, y))
+    lanes.store(out, 0, 20, lanes.minimum(x, number))
+    lanes.store(out, 0, 21, lanes.maximum(number, y))
+    lanes.store(out, 0, 22, x * y + number)  # rounds twice
+
+
+def _expected(a, b, number, whole):
+    both = [op(p, q) for p, q in ((a, b), (a, number), (number, b)) for op in _ARITHMETIC]
+    return np.array(
+        [
+            *both,
+            -a,
+            a * whole,
+            np.full(8, number),
+            np.full(8, number),
+            np.sqrt(np.abs(b)),
+            np.abs(a),
+            np.where(a < b, a, b),
+            np.where(a > b, a, b),
+            np.where(a < number, a, number),
+            np.where(number > b, number, b),
+            np.array([float(p) * float(q) + number for p, q in zip(a, b, strict=True)]),
+        ]
+    )
+
+
+_ARITHMETIC = (operator.add, operator.sub, operator.mul, operator.truediv)
+
+
+@kernel
+def _compare(a, b, number, masks):
+    x, y = lanes.load(a, 0, 0), lanes.load(b, 0, 0)
+    masks[0] = lanes.less(x, y)
+    masks[1] = lanes.less_equal(x, y)
+    masks[2] = lanes.less(x, number)
+    masks[3] = lanes.less_equal(number, y)
+
+
+@kernel
+def _choose(mask, a, b, number, out):
+    x, y = lanes.load(a, 0, 0), lanes.load(b, 0, 0)
+    lanes.store(out, 0, 0, lanes.select(mask, x, y))
+    lanes.store(out, 0, 1, lanes.select(mask, x, number))
+    lanes.store(out, 0, 2, lanes.select(mask, number, y))
+
+
+@kernel
+def _shift(table, out):
+    """Moves every entry of a (rows, n, 8) table to the next row and place."""
+    for row in range(table.shape[0] - 1):
+        for i in range(table.shape[1] - 1):
+            lanes.store(out, row + 1, i + 1, lanes.load(table, row, i))
+
+
+def pairs():
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        yield rng.normal(size=8), rng.normal(size=8)
+    for turn in range(8):
+        yield SPECIAL, np.roll(SPECIAL, turn)
+
+
+def bits_of(flags):
+    return int(np.packbits(flags, bitorder="little")[0])
+
+
+@pytest.mark.parametrize("number", [0.3, -2.0, np.nan])
+def test_arithmetic(number):
+    for a, b in pairs():
+        out = np.zeros((1, 23, 8))
+        _compute(a[None, None], b[None, None], number, 3, out)
+        with np.errstate(all="ignore"):
+            expected = _expected(a, b, number, 3)
+        np.testing.assert_array_equal(out[0], expected)
+        number_rows = ~np.isnan(expected)
+        np.testing.assert_array_equal(np.signbit(out[0])[number_rows], np.signbit(expected)[number_rows])
+
+
+@pytest.mark.parametrize("number", [0.3, np.nan])
+def test_masks(number):
+    """One bit a lane, the first lane lowest; a comparison with NaN is never true."""
+    for a, b in pairs():
+        masks = np.zeros(4, np.int64)
+        _compare(a[None, None], b[None, None], number, masks)
+        assert masks.tolist() == [bits_of(f) for f in (a < b, a <= b, a < number, number <= b)]
+
+
+@pytest.mark.parametrize("mask", [0, 1, 0x80, 0xA5, 0xFF])
+def test_select(mask):
+    a, b = SPECIAL, np.arange(8.0)
+    out = np.zeros((1, 3, 8))
+    _choose(mask, a[None, None], b[None, None], 7.5, out)
+    flags = np.array([mask >> lane & 1 for lane in range(8)], bool)
+    np.testing.assert_array_equal(out[0], [np.where(flags, *both) for both in ((a, b), (a, 7.5), (7.5, b))])
+
+
+def test_load_and_store_address_rows_and_places():
+    table = np.random.default_rng(0).normal(size=(3, 5, 8))
+    out = np.zeros_like(table)
+    _shift(table, out)
+    np.testing.assert_array_equal(out[1:, 1:], table[:-1, :-1])
+    assert not out[0].any()
+    assert not out[:, 0].any()
+
+
+def test_load_takes_tables_of_lanes_only():
+    if hasattr(_shift, "py_func"):
+        with pytest.raises(Exception, match="load"):
+            _shift(np.zeros((3, 5)), np.zeros((3, 5, 8)))

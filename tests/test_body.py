@@ -1,0 +1,314 @@
+"""Bodies: representation, validation, text form, sampling and mutation."""
+
+import pickle
+
+import numpy as np
+import pytest
+
+from evogymcm.body import (
+    EMPTY,
+    SAMPLE_WEIGHTS,
+    Body,
+    as_body,
+    check_stiffness,
+    full_connections,
+    has_actuator,
+    is_connected,
+    mutate_body,
+    robot_tasks,
+    robots,
+    sample_body,
+)
+
+STANDARD = "HHHHH/HHHHH/HH.HH/VV.VV/VV.VV"
+
+
+def slow_full_connections(grid):
+    """The rule spelled out cell by cell."""
+    rows, cols = grid.shape
+    pairs = []
+    for r in range(rows):
+        for c in range(cols):
+            if grid[r, c]:
+                if c + 1 < cols and grid[r, c + 1]:
+                    pairs.append((r * cols + c, r * cols + c + 1))
+                if r + 1 < rows and grid[r + 1, c]:
+                    pairs.append((r * cols + c, (r + 1) * cols + c))
+    return np.array(pairs, dtype=int).reshape(-1, 2).T
+
+
+def test_forms_of_one_body_are_equal():
+    codes = [[3, 3, 3], [3, 0, 3]]
+    body = Body(codes)
+    forms = [
+        Body.from_text("HHH/H.H"),
+        Body("\n  HHH\n  H.H\n"),
+        Body(["HHH", "H.H"]),
+        Body(np.array(codes, dtype=float)),
+        Body(codes, connections=full_connections(codes)),
+        as_body("HHH/H.H"),
+        as_body(codes),
+        as_body(body),
+    ]
+    assert all(form == body and hash(form) == hash(body) for form in forms)
+    assert body.text == "HHH/H.H"
+    assert repr(body) == "Body('HHH/H.H')"
+    assert body != Body("HHH/HSH")
+    assert body != "HHH/H.H"
+
+
+def test_attributes():
+    body = Body.from_text(STANDARD)
+    assert body.shape == (body.rows, body.cols) == (5, 5)
+    assert body.grid.dtype == np.int8
+    assert body.n_voxels == body.occupancy.sum() == 22
+    assert body.n_actuators == 22
+    np.testing.assert_array_equal(body.actuators, np.flatnonzero(body.grid))
+
+
+def test_empty_border_is_kept():
+    body = Body("H./..")
+    assert body.shape == (2, 2)
+    assert body != Body("H")
+
+
+def test_actuators_are_in_the_order_of_the_actions():
+    # Known from EvoGym's environments.
+    assert robots["Walk_Bot"].actuators.tolist() == [1, 2, 3, 6, 7, 8, 10, 14, 15, 19]
+    assert robots["Bridge_Bot"].actuators.tolist() == [4, 6, 7, 12, 14, 15, 17, 18, 19, 20, 21]
+
+
+def test_is_immutable_and_copies_its_input():
+    codes = np.array([[3, 1]])
+    body = Body(codes)
+    codes[:] = 0
+    assert body.text == "HR"
+    with pytest.raises(ValueError, match="read-only"):
+        body.grid[0, 0] = 1
+    with pytest.raises(ValueError, match="read-only"):
+        body.connections[0, 0] = 1
+    with pytest.raises(AttributeError):
+        body.grid = codes
+
+
+def test_pickle_keeps_value_and_immutability():
+    body = Body("HR/RR", connections=[[0], [1]])
+    copy = pickle.loads(pickle.dumps(body))
+    assert copy == body
+    assert not copy.grid.flags.writeable
+
+
+def test_connections():
+    default = Body("HR/RR")
+    assert default.has_default_connections
+    assert default.connections.tolist() == [[0, 0, 1, 2], [1, 2, 3, 3]]
+    assert Body("HR/RR", [[3, 1, 2, 0, 0], [2, 3, 0, 1, 1]]) == default  # order and repetition play no part
+    partly = Body("HR/RR", [[0, 2], [1, 3]])
+    assert not partly.has_default_connections
+    assert partly != default
+    assert Body("H").connections.shape == (2, 0)
+    assert Body("HR", np.empty((2, 0), dtype=int)).connections.shape == (2, 0)
+    assert "connections=" in repr(partly)
+
+
+def test_full_connections_follow_the_rule():
+    rng = np.random.default_rng(0)
+    for shape in [(1, 1), (1, 6), (6, 1), (5, 5), (3, 7)]:
+        for _ in range(20):
+            grid = rng.integers(0, 5, shape)
+            np.testing.assert_array_equal(full_connections(grid), slow_full_connections(grid))
+
+
+@pytest.mark.parametrize(
+    ("grid", "message"),
+    [
+        ("HX", "allowed characters"),
+        ("HF", "allowed characters"),
+        ("HH/H", "lengths"),
+        ("", "lengths"),
+        ([], "shape"),
+        ([3, 3], "shape"),
+        ([[3], [3, 3]], "equally long rows"),
+        ([[3, 5]], "codes"),
+        ([[3, -1]], "codes"),
+        ([[3, 0.5]], "codes"),
+        ([[3, np.nan]], "codes"),
+        ("H.H", "one piece"),
+        ("H./.H", "one piece"),
+        ("../..", "one piece"),
+        ("RS", "actuator"),
+    ],
+)
+def test_invalid_bodies_are_refused(grid, message):
+    with pytest.raises(ValueError, match=message):
+        Body(grid)
+
+
+@pytest.mark.parametrize(
+    "connections",
+    [
+        [[0], [2]],  # one below the other, but the cell is empty
+        [[0], [3]],  # a corner
+        [[1], [2]],  # neighbours in the flat array, across a row's border
+        [[0], [9]],
+        [[-1], [0]],
+        [[0, 1]],
+        [[0.0], [1.0]],
+    ],
+)
+def test_invalid_connections_are_refused(connections):
+    with pytest.raises(ValueError, match="connections"):
+        Body("HR/.R", connections)
+
+
+def test_unknown_robot_is_refused_with_the_names():
+    with pytest.raises(ValueError, match="Walk_Bot"):
+        as_body("walk_bot")
+    assert as_body("Walk_Bot") is robots["Walk_Bot"]
+
+
+def test_stiffness():
+    body = Body("HR/.R")
+    np.testing.assert_array_equal(check_stiffness(None, body), np.ones((2, 2)))
+    given = [[0.5, 2.0], [np.nan, 1.5]]  # the empty cell's value does not count
+    np.testing.assert_array_equal(check_stiffness(given, body), [[0.5, 2.0], [1.0, 1.5]])
+    for wrong in ([[0.4, 1], [1, 1]], [[1, 2.1], [1, 1]], [[1, np.nan], [1, 1]], [[1, np.inf], [1, 1]], [1.0] * 4, 1.0):
+        with pytest.raises(ValueError, match="stiffness"):
+            check_stiffness(wrong, body)
+
+
+def test_robots():
+    assert len(robots) == 10
+    assert robots["Walk_Bot"] == robots["speed_bot"] == Body("SHHHR/RHHHR/HR.RH/H...H")
+    assert robots["tutorial_block"] == Body("/".join(["HHHHH"] * 5))
+    counts = {name: (robot.n_voxels, robot.n_actuators) for name, robot in robots.items()}
+    assert counts == {
+        "Walk_Bot": (16, 10),
+        "Bridge_Bot": (17, 11),
+        "Down_Bot": (14, 9),
+        "Cave_Bot": (12, 8),
+        "Amax_Bot": (18, 11),
+        "Amin_Bot": (12, 9),
+        "speed_bot": (16, 10),
+        "carry_bot": (19, 12),
+        "climb_bot": (16, 11),
+        "tutorial_block": (25, 25),
+    }
+    assert robot_tasks["Cave_Bot"] == "CaveCrawler-v0"
+    assert len(robot_tasks) == 6
+
+
+def test_validity():
+    assert is_connected([[0, 1], [1, 1]])
+    assert not is_connected([[1, 0], [0, 1]])
+    assert not is_connected(np.zeros((5, 5)))
+    assert has_actuator([[4]])
+    assert not has_actuator([[1, 2, 5]])
+
+
+# Sampling and mutation: the expected numbers were measured on EvoGym's own functions. The tolerances are about four
+# standard errors of the means at the sizes used here.
+
+
+@pytest.fixture(scope="module")
+def sampled():
+    rng = np.random.default_rng(0)
+    return [sample_body((5, 5), rng) for _ in range(3000)]
+
+
+def test_samples_are_distributed_as_in_evogym(sampled):
+    voxels = np.array([body.n_voxels for body in sampled])
+    assert voxels.mean() == pytest.approx(16.7, abs=0.15)
+    assert voxels.std() == pytest.approx(2.1, abs=0.12)
+    assert np.mean([body.n_actuators for body in sampled]) == pytest.approx(8.4, abs=0.15)
+    grids = np.stack([body.grid for body in sampled])
+    shares = np.array([(grids == code).sum() for code in range(1, 5)]) / (grids != EMPTY).sum()
+    np.testing.assert_allclose(shares, 0.25, atol=0.008)
+    assert np.mean(~grids[:, -1].any(axis=1)) == pytest.approx(0.021, abs=0.011)
+
+
+def test_share_of_valid_draws_is_evogyms():
+    rng = np.random.default_rng(0)
+    probabilities = np.array(SAMPLE_WEIGHTS) / sum(SAMPLE_WEIGHTS)
+    grids = rng.choice(5, size=(10_000, 5, 5), p=probabilities)
+    assert np.mean([is_connected(grid) and has_actuator(grid) for grid in grids]) == pytest.approx(0.146, abs=0.015)
+
+
+def test_sampling_is_reproducible_and_takes_weights():
+    first, second = (sample_body((3, 4), np.random.default_rng(7)) for _ in range(2))
+    assert first == second
+    assert first.shape == (3, 4)
+    assert first.has_default_connections
+    only_actuators = sample_body((3, 3), np.random.default_rng(0), weights=(0, 0, 0, 1, 1))
+    assert only_actuators.n_actuators == 9
+
+
+def test_impossible_samples_are_refused(monkeypatch):
+    rng = np.random.default_rng(0)
+    for weights in [(1, 1, 1, 0, 0), (1, 1, 1, 1), (1, 1, 1, 1, -1), (1, 1, 1, 1, np.nan), (0, 0, 0, 0, 0)]:
+        with pytest.raises(ValueError, match="weights"):
+            sample_body((5, 5), rng, weights)
+    with pytest.raises(ValueError, match="shape"):
+        sample_body((0, 5), rng)
+    monkeypatch.setattr("evogymcm.body._MAX_DRAWS", 100)
+    with pytest.raises(ValueError, match="none of 100 draws"):
+        sample_body((9, 9), rng, weights=(1e9, 1, 1, 1, 1))
+
+
+def test_mutants_are_distributed_as_in_evogym(sampled):
+    rng = np.random.default_rng(1)
+    children = [mutate_body(parent, rng) for parent in sampled]
+    assert np.mean([child is None for child in children]) == pytest.approx(0.04, abs=0.015)
+    pairs = [(p, c) for p, c in zip(sampled, children, strict=True) if c is not None]
+    assert len([1 for p, c in pairs if p == c]) / len(sampled) == pytest.approx(0.14, abs=0.026)
+    assert np.mean([(p.grid != c.grid).sum() for p, c in pairs]) == pytest.approx(4.0, abs=0.35)
+
+
+def test_a_single_attempt_changes_cells_at_the_rates_of_evogym(sampled):
+    rng = np.random.default_rng(2)
+    children = [mutate_body(parent, rng, attempts=1) for parent in sampled]
+    assert np.mean([child is not None for child in children]) == pytest.approx(0.74, abs=0.033)
+    # Nearly every mutant of a full block of many voxels is valid, so that the rates of single cells are seen.
+    full = Body([[3, 4] * 10] * 20)
+    mutants = [child for _ in range(200) if (child := mutate_body(full, rng, rate=0.05, attempts=1)) is not None]
+    assert len(mutants) > 150
+    grids = np.stack([child.grid for child in mutants])
+    assert np.mean(grids != full.grid) == pytest.approx(0.05 * 6 / 7, abs=0.004)
+    assert np.mean(grids == EMPTY) == pytest.approx(0.05 * 3 / 7, abs=0.003)
+
+
+def slow_mutate(parent, rng, rate, attempts):
+    """The rule spelled out cell by cell; returns the grid and the number of attempts, or None."""
+    thresholds = np.cumsum(SAMPLE_WEIGHTS) / sum(SAMPLE_WEIGHTS)
+    child = parent.grid.copy()
+    for attempt in range(attempts):
+        chances, draws = rng.random(parent.shape), rng.random(parent.shape)
+        for cell in np.ndindex(parent.shape):
+            if chances[cell] < rate:
+                child[cell] = next(code for code in range(5) if draws[cell] <= thresholds[code])
+        if is_connected(child) and has_actuator(child):
+            return child, attempt + 1
+    return None
+
+
+def test_failed_attempts_accumulate(sampled):
+    late = 0
+    for seed, parent in enumerate(sampled[:150]):
+        child = mutate_body(parent, np.random.default_rng(seed), rate=0.2, attempts=20)
+        expected = slow_mutate(parent, np.random.default_rng(seed), rate=0.2, attempts=20)
+        if expected is None:
+            assert child is None
+        else:
+            np.testing.assert_array_equal(child.grid, expected[0])
+            late += expected[1] > 1
+    assert late > 20
+
+
+def test_mutation_drops_partial_connections_and_checks_its_arguments():
+    rng = np.random.default_rng(0)
+    parent = Body("HR/RR", [[0], [1]])
+    child = mutate_body(parent, rng, rate=0.0)
+    assert child == Body("HR/RR")
+    for arguments in ({"rate": 1.5}, {"rate": np.nan}, {"attempts": 0}):
+        with pytest.raises(ValueError, match="expected"):
+            mutate_body(parent, rng, **arguments)

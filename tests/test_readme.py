@@ -1,0 +1,64 @@
+"""The README: its code runs, and its table is the registry's."""
+
+import importlib.util
+import re
+from pathlib import Path
+
+import gymnasium
+import pytest
+
+import evogymcm as cm
+from evogymcm.envs import tasks as task_package
+
+ROOT = Path(__file__).resolve().parents[1]
+TEXT = (ROOT / "README.md").read_text(encoding="utf-8")
+BLOCKS = re.findall(r"```python\n(.*?)```", TEXT, re.DOTALL)
+EXAMPLES = {path.name: path.read_text(encoding="utf-8") for path in (ROOT / "examples").glob("*.py")}
+
+
+@pytest.fixture
+def own_registries():
+    """Lets a block register tasks without the other tests seeing them."""
+    before, before_gymnasium = dict(task_package._REGISTRY), dict(gymnasium.registry)
+    yield
+    task_package._REGISTRY.clear()
+    task_package._REGISTRY.update(before)
+    gymnasium.registry.clear()
+    gymnasium.registry.update(before_gymnasium)
+
+
+@pytest.mark.usefixtures("own_registries")
+@pytest.mark.parametrize("block", BLOCKS, ids=lambda block: block.split("\n")[0][:40])
+def test_block_runs(block, tmp_path, monkeypatch):
+    if block in EXAMPLES.values():
+        pytest.skip("run by test_examples.py")
+    monkeypatch.chdir(tmp_path)
+    exec(compile(block, "README.md", "exec"), {"__name__": "readme"})
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("name", ["train.py", "collector.py"])
+def test_examples_are_shown_as_they_are(name):
+    assert f"`examples/{name}`" in TEXT
+    assert EXAMPLES[name] in BLOCKS
+
+
+def test_files_named_exist():
+    for name in re.findall(r"(?:examples|docs|tests|evogymcm|scripts|benchmarks)/[\w./-]*", TEXT):
+        is_gymnasium_id = re.fullmatch(r"evogymcm/\w+-v\d+", name)
+        assert is_gymnasium_id or (ROOT / name).exists(), name
+
+
+def test_table_is_the_registrys():
+    spec = importlib.util.spec_from_file_location("task_table", ROOT / "docs" / "task_table.py")
+    task_table = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(task_table)
+    shown = TEXT.split(task_table.BEGIN)[1].split(task_table.END)[0]
+    assert shown.strip() == task_table.table().strip(), "run: python docs/task_table.py --write"
+    assert set(task_table.WHAT) == set(cm.tasks)
+
+
+def test_world_picture_is_the_packages():
+    (picture,) = re.findall(r"```text\n(.*?)```", TEXT, re.DOTALL)
+    stored = (ROOT / "evogymcm" / "sim" / "worlds" / "Lifter-v0.txt").read_text(encoding="utf-8")
+    assert picture.strip() in stored
