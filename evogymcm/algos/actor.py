@@ -11,7 +11,7 @@ from torchrl.envs import EnvBase, ExplorationType
 from torchrl.envs.utils import exploration_type
 
 from evogymcm.algos.distributions import IDLE, MaskedSquashedNormal, VoxelActions
-from evogymcm.algos.features import NormalizedLinear, orthogonal, pool, voxel_frame
+from evogymcm.algos.features import N_INPUTS, NormalizedLinear, orthogonal, pool, voxel_frame, voxel_inputs
 
 __all__ = ["VoxelActor", "make_actor"]
 
@@ -29,7 +29,6 @@ class VoxelActor(TensorDictModuleBase):
     type is deterministic (`torchrl.envs.set_exploration_type`).
 
     Args:
-        voxel_features: features per voxel, F.
         task_features: features of the task, G.
         ranges: action entry ("actuation", "stiffness") -> (low, high).
         hidden: width of both hidden layers.
@@ -44,7 +43,6 @@ class VoxelActor(TensorDictModuleBase):
 
     def __init__(
         self,
-        voxel_features: int,
         task_features: int,
         ranges: Mapping[str, tuple[float, float]],
         hidden: int = 64,
@@ -54,10 +52,10 @@ class VoxelActor(TensorDictModuleBase):
         if not ranges or not set(ranges) <= set(_HEADS):
             raise ValueError(f"action heads: got {sorted(ranges)}, allowed are {sorted(_HEADS)}")
         self.ranges = dict(ranges)
-        self.in_keys = ["voxels", "task", "occupancy", *(_HEADS[name][0] for name in ranges)]
+        self.in_keys = ["voxels", "types", "task", "occupancy", *(_HEADS[name][0] for name in ranges)]
         self.in_keys = list(dict.fromkeys(self.in_keys))
         self.out_keys = [*(("action", name) for name in ranges), "action_log_prob"]
-        self.encode = NormalizedLinear(voxel_features, hidden, voxel_frame(voxel_features))
+        self.encode = NormalizedLinear(N_INPUTS, hidden, voxel_frame())
         self.task = NormalizedLinear(task_features, hidden)
         self.local = nn.Linear(hidden, hidden)
         self.body = nn.Linear(hidden, hidden, bias=False)
@@ -77,16 +75,16 @@ class VoxelActor(TensorDictModuleBase):
             0.0 if first is None else _REACH * math.atanh(math.atanh((2 * first - low - high) / (high - low)) / _REACH)
         )
 
-    def _means(self, voxels: Tensor, occupancy: Tensor, task: Tensor) -> Tensor:
+    def _means(self, tensordict: TensorDictBase) -> Tensor:
         """Means before squashing, (..., V, heads)."""
-        encoded = torch.relu(self.encode(voxels))
-        shared = self.body(pool(encoded, occupancy)) + self.task(task)
+        encoded = torch.relu(self.encode(voxel_inputs(tensordict)))
+        shared = self.body(pool(encoded, tensordict.get("occupancy"))) + self.task(tensordict.get("task"))
         outputs = self.heads(torch.relu(self.local(encoded) + shared.unsqueeze(-2)))
         return _REACH * torch.tanh(outputs / _REACH)
 
     def get_dist(self, tensordict: TensorDictBase) -> VoxelActions:
         """Returns the action distribution for the observations in `tensordict`."""
-        means = self._means(*(tensordict.get(key) for key in ("voxels", "occupancy", "task")))
+        means = self._means(tensordict)
         std = self.log_std.exp()
         return VoxelActions(
             {
@@ -111,7 +109,7 @@ class VoxelActor(TensorDictModuleBase):
 
     def observe(self, tensordict: TensorDictBase) -> None:
         """Takes observations (any batch shape) into the running normalisation of the inputs."""
-        self.encode.observe(tensordict.get("voxels")[tensordict.get("occupancy")])
+        self.encode.observe(voxel_inputs(tensordict)[tensordict.get("occupancy")])
         self.task.observe(tensordict.get("task").flatten(0, -2))
 
 
@@ -119,7 +117,6 @@ def make_actor(env: EnvBase, hidden: int = 64, initial_std: float = 1.0) -> Voxe
     """Returns an untrained actor that fits the observations and action ranges of `env`."""
     spaces = {name: spec.space for name, spec in env.full_action_spec["action"].items()}
     return VoxelActor(
-        voxel_features=env.observation_spec["voxels"].shape[-1],
         task_features=env.observation_spec["task"].shape[-1],
         ranges={name: (space.low.min().item(), space.high.max().item()) for name, space in spaces.items()},
         hidden=hidden,

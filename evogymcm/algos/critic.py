@@ -8,7 +8,7 @@ from tensordict.nn import TensorDictModuleBase
 from torch import nn
 from torchrl.envs import EnvBase
 
-from evogymcm.algos.features import NormalizedLinear, orthogonal, pool, voxel_frame
+from evogymcm.algos.features import N_INPUTS, NormalizedLinear, orthogonal, pool, voxel_frame, voxel_inputs
 
 __all__ = ["VoxelCritic", "make_critic"]
 
@@ -17,17 +17,16 @@ class VoxelCritic(TensorDictModuleBase):
     """Value of a body's state; takes any number of bodies, of any shape, in any padded grid.
 
     Args:
-        voxel_features: features per voxel, F.
         task_features: features of the task, G.
         hidden: width of the hidden layers.
     """
 
-    in_keys = ["voxels", "task", "occupancy"]  # noqa: RUF012
+    in_keys = ["voxels", "types", "task", "occupancy"]  # noqa: RUF012
     out_keys = ["state_value"]  # noqa: RUF012
 
-    def __init__(self, voxel_features: int, task_features: int, hidden: int = 64) -> None:
+    def __init__(self, task_features: int, hidden: int = 64) -> None:
         super().__init__()
-        self.encode = NormalizedLinear(voxel_features, hidden, voxel_frame(voxel_features))
+        self.encode = NormalizedLinear(N_INPUTS, hidden, voxel_frame())
         self.task = NormalizedLinear(task_features, hidden)
         self.body = nn.Linear(hidden, hidden, bias=False)
         self.value = nn.Linear(hidden, 1)
@@ -38,18 +37,17 @@ class VoxelCritic(TensorDictModuleBase):
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Writes `state_value` (..., 1) into `tensordict` and returns it."""
-        voxels, task, occupancy = (tensordict.get(key) for key in self.in_keys)
-        pooled = pool(torch.relu(self.encode(voxels)), occupancy)
-        tensordict.set("state_value", self.value(torch.relu(self.body(pooled) + self.task(task))))
+        pooled = pool(torch.relu(self.encode(voxel_inputs(tensordict))), tensordict.get("occupancy"))
+        hidden = torch.relu(self.body(pooled) + self.task(tensordict.get("task")))
+        tensordict.set("state_value", self.value(hidden))
         return tensordict
 
     def observe(self, tensordict: TensorDictBase) -> None:
         """Takes observations (any batch shape) into the running normalisation of the inputs."""
-        self.encode.observe(tensordict.get("voxels")[tensordict.get("occupancy")])
+        self.encode.observe(voxel_inputs(tensordict)[tensordict.get("occupancy")])
         self.task.observe(tensordict.get("task").flatten(0, -2))
 
 
 def make_critic(env: EnvBase, hidden: int = 64) -> VoxelCritic:
     """Returns an untrained critic that fits the observations of `env`."""
-    spec = env.observation_spec
-    return VoxelCritic(spec["voxels"].shape[-1], spec["task"].shape[-1], hidden)
+    return VoxelCritic(env.observation_spec["task"].shape[-1], hidden)

@@ -1,38 +1,40 @@
 """From voxel observations to well-scaled network inputs: a voxel-centred frame and running normalisation."""
 
 import torch
+from tensordict import TensorDictBase
 from torch import Tensor, nn
 
-__all__ = ["NormalizedLinear", "orthogonal", "pool", "voxel_frame"]
+from evogymcm.envs.voxels import N_FEATURES, N_SIDES, N_TYPES, POSITIONS, VELOCITIES
 
-# Layout of a voxel's features, as SoftRobotEnv gives them.
-_POSITIONS, _VELOCITIES, _OWN_FEATURES = 4, 12, 24  # each vector group: x, y of the corners TL, TR, BL, BR
+__all__ = ["N_INPUTS", "NormalizedLinear", "orthogonal", "pool", "voxel_frame", "voxel_inputs"]
+
+N_INPUTS = N_FEATURES + N_SIDES * (N_TYPES - 1)  # of a voxel, as `voxel_inputs` gives them
 _CORNERS = 4
 _MIN_STD = 1e-3  # features that vary less are taken as constant and left unscaled
 
 
-def voxel_frame(n_features: int) -> Tensor:
-    """Returns the linear map to a voxel-centred frame, (n_features + 4, n_features).
+def voxel_inputs(tensordict: TensorDictBase) -> Tensor:
+    """Returns what voxels sense, then the types of each and of its neighbours one-hot: (..., V, N_INPUTS)."""
+    voxels, types = tensordict.get("voxels"), tensordict.get("types")
+    codes = torch.arange(1, N_TYPES, dtype=types.dtype, device=types.device)
+    one_hot = (types.unsqueeze(-1) == codes).flatten(-2)
+    return torch.cat([voxels, one_hot.to(voxels.dtype)], -1)
+
+
+def voxel_frame() -> Tensor:
+    """Returns the linear map of a voxel's inputs to a voxel-centred frame, (N_INPUTS + 4, N_INPUTS).
 
     The four corners of a voxel differ little from each other compared with their distance from the body's centre, so
     deformation would drown in position once both are scaled alike. The map writes each group of corner vectors
     (positions, velocities) as the voxel's centre followed by the corners relative to that centre; all other features
     pass unchanged.
-
-    Args:
-        n_features: number of features of a voxel, at least 24.
-
-    Raises:
-        ValueError: if there are too few features to hold the corner vectors.
     """
-    if n_features < _OWN_FEATURES:
-        raise ValueError(f"voxel features: got {n_features}, need at least {_OWN_FEATURES}")
-    eye = torch.eye(n_features)
+    eye = torch.eye(N_INPUTS)
     rows, start = [], 0
-    for group in (_POSITIONS, _VELOCITIES):
-        corners = eye[group : group + 2 * _CORNERS].reshape(_CORNERS, 2, n_features)
+    for group in (POSITIONS, VELOCITIES):  # each: x, y of the corners TL, TR, BL, BR
+        corners = eye[group : group + 2 * _CORNERS].reshape(_CORNERS, 2, N_INPUTS)
         centre = corners.mean(0)
-        rows += [eye[start:group], centre, (corners - centre).reshape(-1, n_features)]
+        rows += [eye[start:group], centre, (corners - centre).reshape(-1, N_INPUTS)]
         start = group + 2 * _CORNERS
     return torch.cat([*rows, eye[start:]])
 

@@ -127,7 +127,6 @@ def _load_policy(run: Path) -> "tuple[Control, str]":
     from torchrl.envs import ExplorationType, set_exploration_type
 
     from evogymcm.algos.actor import VoxelActor
-    from evogymcm.envs.voxels import N_FEATURES
     from evogymcm.sim.constants import ACTUATION_HIGH, ACTUATION_LOW, STIFFNESS_HIGH, STIFFNESS_LOW
 
     path = next((path for path in (run / "final.pt", run / "best.pt", run) if path.is_file()), None)
@@ -137,12 +136,13 @@ def _load_policy(run: Path) -> "tuple[Control, str]":
     ranges = {"actuation": (ACTUATION_LOW, ACTUATION_HIGH)}
     if len(weights["log_std"]) == 2:
         ranges["stiffness"] = (STIFFNESS_LOW, STIFFNESS_HIGH)
-    actor = VoxelActor(N_FEATURES, weights["task.weight"].shape[1], ranges, hidden=weights["local.weight"].shape[0])
+    actor = VoxelActor(weights["task.weight"].shape[1], ranges, hidden=weights["local.weight"].shape[0])
     actor.load_state_dict(weights)
 
     def control(engine: "TaskEngine") -> "tuple[np.ndarray, np.ndarray | None]":
         seen = {
             "voxels": engine.voxels,
+            "types": engine.types,
             "task": engine.features.astype(np.float32),
             "occupancy": engine.occupancy,
             "actuators": engine.actuators,

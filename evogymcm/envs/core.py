@@ -3,7 +3,7 @@
 Arrays are indexed by world and by cell of the padded grid (V cells, bodies in the upper left corner).
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -13,7 +13,7 @@ from evogymcm.body import Body
 from evogymcm.envs.designs import MATERIALS, BodySpec, as_bodies, deal_fields, on_grid
 from evogymcm.envs.task import Snapshot, Task, Window
 from evogymcm.envs.tasks import as_task
-from evogymcm.envs.voxels import N_FEATURES, fill_voxels, voxel_template
+from evogymcm.envs.voxels import N_FEATURES, fill_voxels, voxel_template, voxel_types
 from evogymcm.sim.constants import (
     ACTUATION_HIGH,
     ACTUATION_LOW,
@@ -27,6 +27,7 @@ from evogymcm.sim.constants import (
 )
 from evogymcm.sim.readings import Terrain, new_readings, read_object, read_window
 from evogymcm.sim.simulator import Block, Simulator
+from evogymcm.sim.topology import Topology
 from evogymcm.sim.world import ROBOT, World, WorldObject
 
 UNSTABLE_PENALTY = -3.0
@@ -51,7 +52,8 @@ class TaskEngine:
         with_flat: Whether to form the flat observation, where all bodies are equal.
 
     Attributes:
-        voxels: (N, V, F) float32, see `voxels.py`.
+        voxels: (N, V, F) float32 what voxels sense, see `voxels.py`.
+        types: (N, V, 5) uint8 type codes of voxels and their neighbours, see `voxels.py`.
         flat: (N, D) the task's own observation, None where bodies differ.
         features: (N, G) COM velocity, sine and cosine of the orientation, and the task's own global parts.
         reward, terminated, truncated, unstable: (N,) of the last step.
@@ -102,8 +104,9 @@ class TaskEngine:
             [on_grid(np.isin(b.grid, (H_ACT, V_ACT)), self.grid_shape, False) for b in self.bodies]
         )
         self.with_voxels = with_voxels
-        self.voxels = np.zeros((n, v, N_FEATURES), np.float32)
-        self._template = self._make_template() if with_voxels else np.zeros((n, v, N_FEATURES), np.float32)
+        self.types = self._per_body(voxel_types)
+        self._template = self._per_body(voxel_template) if with_voxels else np.zeros((n, v, N_FEATURES), np.float32)
+        self.voxels = self._template.copy()
         most_points = max(b.scene.objects[0].topology.n_points for b in self.simulator.blocks)
         self._hulls = [np.zeros((2, 2 * most_points + 2), np.int64) for _ in self.simulator.blocks]
         self._terrains = [self._make_terrains(block) for block in self.simulator.blocks]
@@ -130,12 +133,13 @@ class TaskEngine:
         except ValueError as error:
             raise ValueError(f"body {body.text!r} does not fit in {self.task.id}: {error}") from error
 
-    def _make_template(self) -> np.ndarray:
-        """Returns (N, V, F) the voxel features that never change."""
+    def _per_body(self, describe: Callable[[Body, Topology, tuple[int, int]], np.ndarray]) -> np.ndarray:
+        """Returns (N, V, ...) what `describe` says of each world's body."""
         rows = {}
         for block in self.simulator.blocks:
             body = self.bodies[block.worlds[0]]
-            rows[body] = voxel_template(body, block.scene.objects[0].topology, self.grid_shape)
+            if body not in rows:
+                rows[body] = describe(body, block.scene.objects[0].topology, self.grid_shape)
         return np.stack([rows[body] for body in self.bodies])
 
     def _make_terrains(self, block: Block) -> tuple[Terrain | None, Terrain | None]:

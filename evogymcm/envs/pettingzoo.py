@@ -13,7 +13,7 @@ from evogymcm.envs.core import TaskEngine
 from evogymcm.envs.designs import BodySpec, as_bodies
 from evogymcm.envs.render import FPS, Renderer
 from evogymcm.envs.task import Task
-from evogymcm.envs.voxels import N_FEATURES
+from evogymcm.envs.voxels import N_FEATURES, N_SIDES, N_TYPES
 from evogymcm.sim.constants import ACTUATION_HIGH, ACTUATION_LOW, STIFFNESS_HIGH, STIFFNESS_LOW, Physics
 
 Observation = dict[str, np.ndarray]
@@ -28,11 +28,11 @@ class BodiesParallelEnv(ParallelEnv[str, Observation, Action]):
     padded to one grid of V cells, each in the upper left corner. Numbers in cells without an actuator (actuation) or
     voxel (stiffness) have no effect.
 
-    Each agent observes a dict of `voxels` (V, F) float32 (see `evogymcm.envs.voxels`), `occupancy` and `actuators` (V,)
-    int8, and `task` (G,) float32: COM velocity, sine and cosine of the orientation, the task's own global observations.
-    It acts with a dict of `actuation` (V,) in [0.6, 1.6] and, in the reactive setting, `stiffness` (V,) in [0.5, 2].
-    Its `info` holds the numbers `score` (the episode's rewards but the last), `return` (all of them), `unstable`, and
-    `com_x` and `com_y` in metres.
+    Each agent observes a dict of `voxels` (V, F) float32 and `types` (V, 5) uint8 (see `evogymcm.envs.voxels`),
+    `occupancy` and `actuators` (V,) int8, and `task` (G,) float32: COM velocity, sine and cosine of the orientation,
+    the task's own global observations. It acts with a dict of `actuation` (V,) in [0.6, 1.6] and, in the reactive setting,
+    `stiffness` (V,) in [0.5, 2]. Its `info` holds the numbers `score` (the episode's rewards but the last), `return`
+    (all of them), `unstable`, and `com_x` and `com_y` in metres.
 
     `reset(options={"bodies": [...], "stiffness": [...]})` takes new designs, from then on: as many as before, within
     the padded grid. Other options are ignored.
@@ -128,6 +128,7 @@ class BodiesParallelEnv(ParallelEnv[str, Observation, Action]):
             agent: spaces.Dict(
                 {
                     "voxels": numbers(n, N_FEATURES),
+                    "types": spaces.Box(0, N_TYPES - 1, (n, N_SIDES), np.uint8),
                     "occupancy": spaces.MultiBinary(n),
                     "actuators": spaces.MultiBinary(n),
                     "task": numbers(n_features),
@@ -171,10 +172,15 @@ class BodiesParallelEnv(ParallelEnv[str, Observation, Action]):
         return padded
 
     def _observe(self, agents: Sequence[str]) -> dict[str, Observation]:
-        voxels, (occupancy, actuators) = self._pad(self.engine.voxels), (mask.copy() for mask in self._masks)
-        rows = list(zip(voxels, occupancy, actuators, self.engine.features.astype(np.float32), strict=True))
-        keys = ("voxels", "occupancy", "actuators", "task")
-        return {agent: dict(zip(keys, rows[self._index[agent]], strict=True)) for agent in agents}
+        engine, (occupancy, actuators) = self.engine, (mask.copy() for mask in self._masks)
+        parts = {
+            "voxels": self._pad(engine.voxels),
+            "types": self._pad(engine.types),
+            "occupancy": occupancy,
+            "actuators": actuators,
+            "task": engine.features.astype(np.float32),
+        }
+        return {agent: {key: rows[self._index[agent]] for key, rows in parts.items()} for agent in agents}
 
     def _infos(self, agents: Sequence[str]) -> dict[str, dict[str, Any]]:
         engine = self.engine

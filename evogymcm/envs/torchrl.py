@@ -13,7 +13,7 @@ from evogymcm.envs.core import TaskEngine
 from evogymcm.envs.designs import BodySpec
 from evogymcm.envs.render import Renderer
 from evogymcm.envs.task import Task
-from evogymcm.envs.voxels import N_FEATURES
+from evogymcm.envs.voxels import N_FEATURES, N_SIDES, N_TYPES
 from evogymcm.sim.constants import ACTUATION_HIGH, ACTUATION_LOW, STIFFNESS_HIGH, STIFFNESS_LOW, Physics
 
 
@@ -28,6 +28,7 @@ class SoftRobotEnv(EnvBase):
     | `("action", "actuation")` | [N, V] | in [0.6, 1.6], 1 is neutral |
     | `("action", "stiffness")` | [N, V] | in [0.5, 2]; reactive setting only |
     | `"voxels"` | [N, V, F] | what each voxel senses, see `evogymcm.envs.voxels` |
+    | `"types"` | [N, V, 5] uint8 | type codes of each voxel and of its neighbours above, right, below, left; 0: none |
     | `"occupancy"`, `"actuators"` | [N, V] bool | which cells hold a voxel, an actuator |
     | `"task"` | [N, G] | COM velocity, sine and cosine of the orientation, the task's own global observations |
     | `"observation"` | [N, D] float64 | EvoGym's flat observation, where all bodies are equal |
@@ -81,6 +82,7 @@ class SoftRobotEnv(EnvBase):
         self.engine = engine
         self._occupancy = torch.from_numpy(engine.occupancy)
         self._actuators = torch.from_numpy(engine.actuators)
+        self._types = torch.from_numpy(engine.types)
         self._renderer: Renderer | None = None
         self._make_specs()
         self.set_seed(seed)
@@ -96,6 +98,7 @@ class SoftRobotEnv(EnvBase):
 
         observation = {
             "voxels": numbers(v, N_FEATURES),
+            "types": Categorical(N_TYPES, shape=(n, v, N_SIDES), dtype=torch.uint8, device=self.device),
             "occupancy": flags(v),
             "actuators": flags(v),
             "task": numbers(self.engine.features.shape[1]),
@@ -145,6 +148,7 @@ class SoftRobotEnv(EnvBase):
         engine = self.engine
         values = {
             "voxels": torch.from_numpy(engine.voxels),
+            "types": self._types.clone(),
             "occupancy": self._occupancy.clone(),
             "actuators": self._actuators.clone(),
             "task": torch.from_numpy(engine.features.astype(np.float32)),

@@ -1,9 +1,11 @@
-"""Per-voxel observations: what each voxel of each body senses, on the padded grid.
+"""Per-voxel observations: what each voxel of each body is and senses, on the padded grid.
 
-Features of a voxel, in order: its type (4, one-hot: rigid, soft, horizontal, vertical actuator), the positions of its
-corners relative to the COM (8: x of TL, TR, BL, BR, then y; metres), their velocities relative to the COM's (8), its
-present stiffness, its last actuation, its place in its own body array (2: row and column, from -1 to 1), and the types
-of its connected neighbours above, right, below, left (16, one-hot). Cells without a voxel hold zeros.
+Types of a voxel: the type codes (those of a body's grid) of itself and of its connected neighbours above, right, below
+and left; 0 for none. They never change.
+
+Features, in order: the positions of its corners relative to the COM (8: x of TL, TR, BL, BR, then y; metres), their
+velocities relative to the COM's (8), its present stiffness, its last actuation, and its place in its own body array (2:
+row and column, from -1 to 1). Cells without a voxel hold zeros.
 """
 
 import numpy as np
@@ -15,34 +17,39 @@ from evogymcm.sim.constants import MISSING
 from evogymcm.sim.springs import VX, VY, X, Y
 from evogymcm.sim.topology import Topology
 
-N_TYPES = 4
-POSITIONS = N_TYPES
+N_TYPES = 5  # codes of a body's grid, empty included
+POSITIONS = 0
 VELOCITIES = POSITIONS + 8
 STIFFNESS = VELOCITIES + 8
 ACTUATION = STIFFNESS + 1
 PLACE = ACTUATION + 1
-NEIGHBOURS = PLACE + 2
-N_FEATURES = NEIGHBOURS + 4 * N_TYPES
+N_FEATURES = PLACE + 2
+_SIDES = ((0, 0), (-1, 0), (0, 1), (1, 0), (0, -1))  # itself, above, right, below, left: rows, columns
+N_SIDES = len(_SIDES)
+
+
+def voxel_types(body: Body, topology: Topology, grid_shape: tuple[int, int]) -> np.ndarray:
+    """Returns (V, N_SIDES) uint8: the type codes of a body's voxels and of their connected neighbours."""
+    types = np.zeros((*grid_shape, N_SIDES), np.uint8)
+    joined = {tuple(pair) for pair in body.connections.T.tolist()}
+    joined |= {(b, a) for a, b in joined}
+    for row, column in topology.cells.tolist():
+        here = row * body.cols + column
+        for side, (down, right) in enumerate(_SIDES):
+            r, c = row + down, column + right
+            is_cell = 0 <= r < body.rows and 0 <= c < body.cols
+            if is_cell and (side == 0 or (here, r * body.cols + c) in joined):
+                types[row, column, side] = body.grid[r, c]
+    return types.reshape(-1, N_SIDES)
 
 
 def voxel_template(body: Body, topology: Topology, grid_shape: tuple[int, int]) -> np.ndarray:
     """Returns (V, N_FEATURES) float32: a body's features that never change, zero elsewhere."""
-    rows, columns = grid_shape
-    grid = np.zeros((rows, columns, N_FEATURES), np.float32)
-    joined = {tuple(pair) for pair in body.connections.T.tolist()}
-    joined |= {(b, a) for a, b in joined}
+    features = np.zeros((*grid_shape, N_FEATURES), np.float32)
     for row, column in topology.cells.tolist():
-        features = grid[row, column]
-        features[body.grid[row, column] - 1] = 1.0
-        features[PLACE] = 2 * row / (body.rows - 1) - 1 if body.rows > 1 else 0.0
-        features[PLACE + 1] = 2 * column / (body.cols - 1) - 1 if body.cols > 1 else 0.0
-        here = row * body.cols + column
-        for side, (down, right) in enumerate(((-1, 0), (0, 1), (1, 0), (0, -1))):
-            r, c = row + down, column + right
-            is_cell = 0 <= r < body.rows and 0 <= c < body.cols
-            if is_cell and (here, r * body.cols + c) in joined:
-                features[NEIGHBOURS + side * N_TYPES + body.grid[r, c] - 1] = 1.0
-    return grid.reshape(rows * columns, N_FEATURES)
+        features[row, column, PLACE] = 2 * row / (body.rows - 1) - 1 if body.rows > 1 else 0.0
+        features[row, column, PLACE + 1] = 2 * column / (body.cols - 1) - 1 if body.cols > 1 else 0.0
+    return features.reshape(-1, N_FEATURES)
 
 
 @kernel

@@ -16,7 +16,7 @@ class _Wave(TensorDictModuleBase):
     in_keys, out_keys = ["voxels", "task"], [("action", "actuation"), ("action", "stiffness")]
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        column, task = tensordict["voxels"][..., 23], tensordict["task"]
+        column, task = tensordict["voxels"][..., 19], tensordict["task"]
         sin, cos = task[..., 1:2], task[..., 2:3]
         wave = sin * torch.cos(2 * column) + cos * torch.sin(2 * column)
         strength = torch.full((len(wave), 1), 0.4)

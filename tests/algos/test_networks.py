@@ -9,8 +9,8 @@ from tensordict import TensorDict
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from evogymcm.algos import VoxelActor, make_actor, make_critic
-from evogymcm.algos.features import NormalizedLinear, pool, voxel_frame
-from tests.algos.toy_env import FEATURES, SMALL, WIDE, ToyEnv
+from evogymcm.algos.features import N_INPUTS, NormalizedLinear, pool, voxel_frame, voxel_inputs
+from tests.algos.toy_env import SMALL, WIDE, ToyEnv
 
 
 def _trained_like(env: ToyEnv) -> tuple[VoxelActor, torch.nn.Module]:
@@ -30,7 +30,7 @@ def _embed(observation: TensorDict, shape: tuple[int, int], larger: tuple[int, i
     n = observation.batch_size[0]
     cells = (np.arange(shape[0])[:, None] * larger[1] + np.arange(shape[1])).ravel()
     padded = observation.clone()
-    for key in ("voxels", "occupancy", "actuators"):
+    for key in ("voxels", "types", "occupancy", "actuators"):
         old = observation[key]
         new = torch.zeros(n, larger[0] * larger[1], *old.shape[2:], dtype=old.dtype)
         new[:, cells] = old
@@ -89,16 +89,16 @@ def test_actor_samples_by_default_and_log_prob_is_that_of_the_sample():
 
 def test_actor_refuses_unknown_heads():
     with pytest.raises(ValueError, match="colour"):
-        VoxelActor(FEATURES, 4, {"colour": (0.0, 1.0)})
+        VoxelActor(4, {"colour": (0.0, 1.0)})
     with pytest.raises(ValueError, match="heads"):
-        VoxelActor(FEATURES, 4, {})
+        VoxelActor(4, {})
 
 
 def test_normalized_linear_equals_normalising_first():
     torch.manual_seed(0)
-    frame = voxel_frame(FEATURES)
-    layer = NormalizedLinear(FEATURES, 8, frame)
-    x = torch.randn(500, FEATURES) * torch.linspace(0.1, 5, FEATURES) + 3
+    frame = voxel_frame()
+    layer = NormalizedLinear(N_INPUTS, 8, frame)
+    x = torch.randn(500, N_INPUTS) * torch.linspace(0.1, 5, N_INPUTS) + 3
     x[:, 30] = 2.0  # constant: shifted, not scaled
     for piece in x.split(123):
         layer.observe(piece)
@@ -121,13 +121,11 @@ def test_normalisation_is_saved_and_not_trained():
 
 
 def test_voxel_frame_is_relative_to_the_voxels_centre():
-    x = torch.zeros(FEATURES)
-    x[4:12] = torch.tensor([0.0, 1.0, 2.0, 1.0, 0.0, 0.0, 2.0, 0.0]) + 10  # TL TR BL BR; x, y
-    mapped = voxel_frame(FEATURES) @ x
-    torch.testing.assert_close(mapped[4:6], torch.tensor([11.0, 10.5]))
-    torch.testing.assert_close(mapped[6:14], torch.tensor([-1, 0.5, 1, 0.5, -1, -0.5, 1, -0.5]))
-    with pytest.raises(ValueError, match="24"):
-        voxel_frame(10)
+    x = torch.zeros(N_INPUTS)
+    x[:8] = torch.tensor([0.0, 1.0, 2.0, 1.0, 0.0, 0.0, 2.0, 0.0]) + 10  # TL TR BL BR; x, y
+    mapped = voxel_frame() @ x
+    torch.testing.assert_close(mapped[:2], torch.tensor([11.0, 10.5]))
+    torch.testing.assert_close(mapped[2:10], torch.tensor([-1, 0.5, 1, 0.5, -1, -0.5, 1, -0.5]))
 
 
 def test_pool_is_the_mean_over_the_mask():
@@ -141,3 +139,13 @@ def test_initial_std_is_what_was_asked_for():
     actor = make_actor(ToyEnv(), initial_std=0.7)
     assert actor.log_std.exp().tolist() == pytest.approx([0.7, 0.7])
     assert actor.log_std[0].item() == pytest.approx(math.log(0.7))
+
+
+def test_types_enter_one_hot():
+    observation = ToyEnv(bodies=[SMALL, WIDE], num_worlds=2).reset()
+    inputs = voxel_inputs(observation)
+    torch.testing.assert_close(inputs[..., :20], observation["voxels"])
+    one_hot = inputs[..., 20:].reshape(*inputs.shape[:2], 5, 4)
+    codes = one_hot @ torch.arange(1.0, 5.0)
+    torch.testing.assert_close(codes, observation["types"].float())
+    assert (one_hot.sum(-1) == (observation["types"] > 0)).all()

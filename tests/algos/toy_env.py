@@ -11,7 +11,7 @@ from tensordict import TensorDict, TensorDictBase
 from torchrl.data import Bounded, Categorical, Composite, Unbounded
 from torchrl.envs import EnvBase
 
-FEATURES, TASK_FEATURES, VOXEL = 40, 4, 0.1
+FEATURES, TASK_FEATURES, VOXEL = 20, 4, 0.1
 SMALL = np.array([[3, 1, 3], [4, 0, 4]])
 WIDE = np.array([[3, 2, 4, 3], [4, 0, 0, 3], [1, 0, 0, 1]])
 
@@ -74,6 +74,7 @@ class ToyEnv(EnvBase):
 
         self.observation_spec = Composite(
             voxels=Unbounded((n, v, FEATURES)),
+            types=Categorical(5, shape=(n, v, 5), dtype=torch.uint8),
             task=Unbounded((n, TASK_FEATURES)),
             occupancy=flag(v),
             actuators=flag(v),
@@ -91,17 +92,19 @@ class ToyEnv(EnvBase):
         self.done_spec = Composite(done=flag(1), terminated=flag(1), truncated=flag(1), shape=[n])
 
     def _constant_features(self, world: int) -> NDArray[np.float32]:
-        """Own type, grid position within the body's own array, neighbours' types."""
+        """Grid position within the body's own array."""
         rows, cols = self.bodies[world % len(self.bodies)].shape
-        grid = np.pad(self.types[world].reshape(self.grid_shape), 1)
         features = np.zeros((*self.grid_shape, FEATURES), dtype=np.float32)
-        one_hot = np.eye(5, dtype=np.float32)[:, 1:]
-        features[..., 0:4] = one_hot[grid[1:-1, 1:-1]]
-        features[..., 22] = (np.linspace(-1, 1, rows)[np.arange(self.grid_shape[0]) % rows])[:, None]
-        features[..., 23] = np.linspace(-1, 1, cols)[np.arange(self.grid_shape[1]) % cols]
-        neighbours = (grid[:-2, 1:-1], grid[1:-1, 2:], grid[2:, 1:-1], grid[1:-1, :-2])
-        features[..., 24:40] = np.concatenate([one_hot[side] for side in neighbours], -1)
+        features[..., 18] = (np.linspace(-1, 1, rows)[np.arange(self.grid_shape[0]) % rows])[:, None]
+        features[..., 19] = np.linspace(-1, 1, cols)[np.arange(self.grid_shape[1]) % cols]
         return features.reshape(-1, FEATURES)
+
+    def _all_types(self) -> NDArray[np.uint8]:
+        """Own type and that of the neighbours above, right, below, left."""
+        grid = np.pad(self.types.reshape(-1, *self.grid_shape), ((0, 0), (1, 1), (1, 1)))
+        sides = (grid[:, 1:-1, 1:-1], grid[:, :-2, 1:-1], grid[:, 1:-1, 2:], grid[:, 2:, 1:-1], grid[:, 1:-1, :-2])
+        types = np.stack(sides, -1) * (sides[0] > 0)[..., None]
+        return types.reshape(*self.types.shape, 5).astype(np.uint8)
 
     @property
     def score_ceiling(self) -> NDArray[np.float64]:
@@ -114,21 +117,27 @@ class ToyEnv(EnvBase):
 
     def _target(self) -> NDArray[np.float64]:
         """Best actuation of every voxel now."""
-        return 1.1 + 0.4 * np.sin(0.5 * self.steps[:, None] + 2 * self._static[..., 23])
+        return 1.1 + 0.4 * np.sin(0.5 * self.steps[:, None] + 2 * self._static[..., 19])
 
     def _observation(self) -> dict[str, Any]:
         n, v = self.types.shape
         voxels = self._static.copy()
         corners = VOXEL / 2 * np.array([-1, 1, 1, 1, -1, -1, 1, -1]).reshape(4, 2)  # TL TR BL BR
-        centre = 3 * VOXEL * np.stack([self._static[..., 23], -self._static[..., 22]], -1)
-        voxels[..., 4:12] = (centre[..., None, :] + corners * self.acted[..., None, None]).reshape(n, v, 8)
-        voxels[..., 12:20] = self.rng.normal(0, 0.1, (n, v, 8))
-        voxels[..., 20], voxels[..., 21] = self.stiff, self.acted
+        centre = 3 * VOXEL * np.stack([self._static[..., 19], -self._static[..., 18]], -1)
+        voxels[..., :8] = (centre[..., None, :] + corners * self.acted[..., None, None]).reshape(n, v, 8)
+        voxels[..., 8:16] = self.rng.normal(0, 0.1, (n, v, 8))
+        voxels[..., 16], voxels[..., 17] = self.stiff, self.acted
         voxels *= self.occupancy[..., None]
         phase = 0.5 * self.steps
         task = np.stack([100 * self.speed, np.sin(phase), np.cos(phase), np.ones(n)], -1).astype(np.float32)
         com = np.stack([self.x, np.full(n, 0.5)], -1)
-        arrays = {"voxels": voxels, "task": task, "occupancy": self.occupancy.copy(), "com": com}
+        arrays = {
+            "voxels": voxels,
+            "types": self._all_types(),
+            "task": task,
+            "occupancy": self.occupancy.copy(),
+            "com": com,
+        }
         arrays |= {"actuators": self.actuators.copy(), "unstable": np.zeros((n, 1), dtype=bool)}
         arrays |= {"score": self.score[:, None].copy(), "return": self.ret[:, None].copy()}
         return {name: torch.from_numpy(array) for name, array in arrays.items()}

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import evogymcm as cm
-from evogymcm.envs.voxels import ACTUATION, N_FEATURES, NEIGHBOURS, PLACE, POSITIONS, STIFFNESS, VELOCITIES
+from evogymcm.envs.voxels import ACTUATION, N_FEATURES, PLACE, POSITIONS, STIFFNESS, VELOCITIES
 from evogymcm.sim.constants import Physics
 from tests.envs.tools import (
     PAPER_ROBOTS,
@@ -70,7 +70,7 @@ def test_mixed_bodies_equal_singles(material):
         for batched, expected in zip(together, alone, strict=True):
             got = {name: values[[world]] for name, values in batched.items()}
             del expected["flat"]
-            for name, padding in (("voxels", 0.0), ("stiffness", 1.0), ("actuation", 1.0)):
+            for name, padding in (("voxels", 0.0), ("types", 0), ("stiffness", 1.0), ("actuation", 1.0)):
                 np.testing.assert_array_equal(np.delete(got[name], cells, axis=1), padding)
                 got[name] = got[name][:, cells]
             assert_same(got, expected)
@@ -169,7 +169,7 @@ def test_arrays_of_a_step_are_not_written_again():
 
 
 def slow_voxels(engine, world):
-    """The voxel features written out cell by cell; only for bodies whose points all lie apart at reset."""
+    """The voxel features and types written out cell by cell; only for bodies whose points all lie apart at reset."""
     body = engine.bodies[world]
     spawn_x, spawn_y = engine.task.spawn
     fresh = make_engine(engine.task, body).simulator.positions("robot", 0)
@@ -177,6 +177,7 @@ def slow_voxels(engine, world):
     velocity = engine.simulator.velocities("robot", world)
     _, columns = engine.grid_shape
     voxels = np.zeros((engine.occupancy.shape[1], N_FEATURES))
+    types = np.zeros((engine.occupancy.shape[1], 5), int)
 
     def type_at(row, column):
         inside = 0 <= row < body.rows and 0 <= column < body.cols
@@ -185,7 +186,6 @@ def slow_voxels(engine, world):
     for row, column in np.argwhere(body.grid != 0):
         cell = row * columns + column
         v = voxels[cell]
-        v[body.grid[row, column] - 1] = 1
         for corner, (right, down) in enumerate(((0, 0), (1, 0), (0, 1), (1, 1))):
             x, y = 0.1 * (spawn_x + column + right), 0.1 * (spawn_y + body.rows - row - down)
             distance = np.abs(fresh - [[x], [y]]).max(0)
@@ -196,10 +196,9 @@ def slow_voxels(engine, world):
         v[STIFFNESS], v[ACTUATION] = engine.stiffness[world, cell], engine.actuation[world, cell]
         v[PLACE] = np.linspace(-1, 1, body.rows)[row] if body.rows > 1 else 0
         v[PLACE + 1] = np.linspace(-1, 1, body.cols)[column] if body.cols > 1 else 0
-        for side, (down, right) in enumerate(((-1, 0), (0, 1), (1, 0), (0, -1))):
-            if kind := type_at(row + down, column + right):
-                v[NEIGHBOURS + 4 * side + kind - 1] = 1
-    return voxels
+        for side, (down, right) in enumerate(((0, 0), (-1, 0), (0, 1), (1, 0), (0, -1))):
+            types[cell, side] = type_at(row + down, column + right)
+    return voxels, types
 
 
 @pytest.mark.parametrize("material", MATERIALS)
@@ -207,17 +206,19 @@ def test_voxel_features_against_slow_twin(material):
     engine = make_engine("DownStepper-v0", [SMALL, WIDE, "HSV", "Walk_Bot"], 5, material=material)
     for steps in (0, 1, 14):
         step_randomly(engine, steps)
-        expected = np.stack([slow_voxels(engine, world) for world in range(5)])
+        expected, types = (
+            np.stack(rows) for rows in zip(*(slow_voxels(engine, world) for world in range(5)), strict=True)
+        )
         assert engine.voxels.dtype == np.float32
         # Up to 1e-5 of the velocities' size, which float32 cannot tell.
         np.testing.assert_allclose(engine.voxels, expected, rtol=1e-5, atol=1e-6)
+        np.testing.assert_array_equal(engine.types, types)
 
 
 def test_neighbours_are_the_connected_ones():
     body = cm.Body("HH/HH", [[0, 1, 0], [1, 3, 2]])  # 2 and 3 touch, but are not joined
     engine = make_engine("Walker-v0", body)
-    has_neighbour = engine.voxels[0, :, NEIGHBOURS:].reshape(4, 4, 4).any(-1)  # cells, sides
-    assert has_neighbour.tolist() == [
+    assert (engine.types[0, :, 1:] > 0).tolist() == [
         [False, True, True, False],
         [False, False, True, True],
         [True, False, False, False],

@@ -76,9 +76,9 @@ def test_spaces_hold_what_is_given(material):
     heads = {"actuation", "stiffness"} if material == "reactive" else {"actuation"}
     for observations, *_, infos in play(env, 3):
         for agent in env.possible_agents:
-            assert set(observations[agent]) == {"voxels", "occupancy", "actuators", "task"}
+            assert set(observations[agent]) == {"voxels", "types", "occupancy", "actuators", "task"}
             assert env.observation_space(agent).contains(observations[agent])
-            assert observations[agent]["voxels"].shape == (12, 40)
+            assert observations[agent]["voxels"].shape == (12, 20)
             assert env.action_space(agent).spaces.keys() == heads
             assert infos[agent].keys() == INFO
             assert np.isfinite(list(infos[agent].values())).all()
@@ -201,7 +201,7 @@ def test_padding_changes_nothing_else():
         fewer = {agent: {head: values[cells] for head, values in action.items()} for agent, action in actions.items()}
         got, expected = large.step(actions), small.step(fewer)
         for agent in small.possible_agents:
-            for key in ("voxels", "occupancy", "actuators"):
+            for key in ("voxels", "types", "occupancy", "actuators"):
                 np.testing.assert_array_equal(got[0][agent][key][cells], expected[0][agent][key])
                 assert not np.delete(got[0][agent][key], cells, 0).any()
         assert_same(got[1:], expected[1:])

@@ -44,9 +44,9 @@ def has_color(picture, color, at_least=1):
 
 @pytest.mark.parametrize("task", sorted(tasks))
 def test_every_task_has_a_picture(task):
-    renderer = Renderer(make_engine(task, SMALL), 320, 160)
+    renderer = Renderer(make_engine(task, SMALL), 640, 320)
     picture = renderer.frame()
-    assert picture.shape == (160, 320, 3)
+    assert picture.shape == (320, 640, 3)
     assert picture.dtype == np.uint8
     assert has_color(picture, palette.SKY, 1000)
     assert has_color(picture, palette.type_color(H_ACT), 4)

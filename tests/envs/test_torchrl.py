@@ -67,6 +67,7 @@ def test_action_bounds_and_static_observations():
     assert data["occupancy"].int().tolist() == [[1, 1, 1, 0, 1, 0, 1, 0], [1, 1, 1, 1, 1, 0, 0, 1]]
     assert data["actuators"].int().tolist() == [[1, 1, 1, 0, 0, 0, 0, 0], [0, 1, 0, 1, 1, 0, 0, 1]]
     assert (data["voxels"][~data["occupancy"]] == 0).all()
+    assert data["types"][1].tolist()[:2] == [[1, 0, 3, 3, 0], [3, 0, 2, 0, 1]]
 
 
 @pytest.mark.parametrize("material", MATERIALS)

@@ -37,7 +37,7 @@ def step_randomly(engine, steps, seed=0):
 
 def outputs(engine):
     """Copies of everything that an engine shows after a step, by name."""
-    names = ("voxels", "features", "com", "reward", "score", "returns", "length")
+    names = ("voxels", "types", "features", "com", "reward", "score", "returns", "length")
     flags = ("terminated", "truncated", "unstable", "stiffness", "actuation")
     shown = {name: np.array(getattr(engine, name)) for name in names + flags}
     return shown if engine.flat is None else shown | {"flat": engine.flat}
@@ -120,4 +120,4 @@ def _cross(a, b):
 
 def make_engine(task="Walker-v0", bodies="Walk_Bot", num_worlds=None, **options):
     """A task engine with one thread."""
-    return TaskEngine(task, bodies, num_worlds, **{"num_threads": 1} | options)
+    return TaskEngine(task, bodies, num_worlds, **{"num_threads": 1, "seed": 0} | options)
