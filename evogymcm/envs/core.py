@@ -25,7 +25,8 @@ from evogymcm.sim.constants import (
     VOXEL,
     Physics,
 )
-from evogymcm.sim.readings import Terrain, new_readings, read_object, read_window
+from evogymcm.sim.lanes import N_LANES
+from evogymcm.sim.readings import N_SUMS, Terrain, new_readings, read_object, read_window
 from evogymcm.sim.simulator import Block, Simulator
 from evogymcm.sim.topology import Topology
 from evogymcm.sim.world import ROBOT, World, WorldObject
@@ -108,7 +109,10 @@ class TaskEngine:
         self._template = self._per_body(voxel_template) if with_voxels else np.zeros((n, v, N_FEATURES), np.float32)
         self.voxels = self._template.copy()
         most_points = max(b.scene.objects[0].topology.n_points for b in self.simulator.blocks)
-        self._hulls = [np.zeros((2, 2 * most_points + 2), np.int64) for _ in self.simulator.blocks]
+        self._scratch = [
+            (np.zeros((2, 2 * most_points + 2), np.int64), np.zeros((N_SUMS, 1, N_LANES)))
+            for _ in self.simulator.blocks
+        ]
         self._terrains = [self._make_terrains(block) for block in self.simulator.blocks]
         self._now, self._before = self._new_snapshot(most_points), self._new_snapshot(most_points)
         self.is_uniform = with_flat and len(placed) == 1
@@ -242,11 +246,11 @@ class TaskEngine:
             i = block.index
             points, layout, robot = block.state.points, block.layout, block.scene.objects[0]
             n = robot.topology.n_points
-            read_object(points, layout.initial, 0, n, worlds, True, task.reads_hull, self._hulls[i], now.robot)
+            read_object(points, layout.initial, 0, n, worlds, task.reads_hull, *self._scratch[i], now.robot)
             for name, readings in now.objects.items():
                 numbers = block.scene.object(name).points
                 end = int(numbers[-1]) + 1
-                read_object(points, layout.initial, int(numbers[0]), end, worlds, True, False, self._hulls[i], readings)
+                read_object(points, layout.initial, int(numbers[0]), end, worlds, False, *self._scratch[i], readings)
             windows = ((task.floor, now.floor, False), (task.ceiling, now.ceiling, True))
             for terrain, (window, out, is_ceiling) in zip(self._terrains[i], windows, strict=True):
                 if terrain is not None and window is not None and out is not None:

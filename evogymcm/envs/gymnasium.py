@@ -188,7 +188,11 @@ class GymnasiumVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         max_episode_steps: Cuts episodes earlier than the task's limit.
         num_threads: Threads; all cores by default.
         render_mode: "rgb_array" (`render` returns a tuple of pictures, one a world) or None.
-        material, stiffness, edge_rule, render_options, physics: As for `GymnasiumEnv`.
+        material: As for `GymnasiumEnv`.
+        stiffness: As for `GymnasiumEnv`.
+        edge_rule: As for `GymnasiumEnv`.
+        render_options: As for `GymnasiumEnv`.
+        physics: As for `GymnasiumEnv`.
     """
 
     metadata: dict[str, Any] = {

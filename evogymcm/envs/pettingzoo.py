@@ -30,9 +30,9 @@ class BodiesParallelEnv(ParallelEnv[str, Observation, Action]):
 
     Each agent observes a dict of `voxels` (V, F) float32 and `types` (V, 5) uint8 (see `evogymcm.envs.voxels`),
     `occupancy` and `actuators` (V,) int8, and `task` (G,) float32: COM velocity, sine and cosine of the orientation,
-    the task's own global observations. It acts with a dict of `actuation` (V,) in [0.6, 1.6] and, in the reactive setting,
-    `stiffness` (V,) in [0.5, 2]. Its `info` holds the numbers `score` (the episode's rewards but the last), `return`
-    (all of them), `unstable`, and `com_x` and `com_y` in metres.
+    the task's own global observations. It acts with a dict of `actuation` (V,) in [0.6, 1.6] and, in the reactive
+    setting, `stiffness` (V,) in [0.5, 2]. Its `info` holds the numbers `score` (the episode's rewards but the last),
+    `return` (all of them), `unstable`, and `com_x` and `com_y` in metres.
 
     `reset(options={"bodies": [...], "stiffness": [...]})` takes new designs, from then on: as many as before, within
     the padded grid. Other options are ignored.

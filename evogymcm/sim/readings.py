@@ -4,7 +4,7 @@ Kernels read a block's lanes and write rows of arrays indexed by world. Sums run
 """
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -16,6 +16,23 @@ from evogymcm.sim.springs import VX, VY, X, Y
 _TWO_PI = 2.0 * 3.1415926  # EvoGym's value, seven digits of pi
 _ALMOST_ONE = 0.99999  # what a cosine beyond 1 counts as
 WINDOW_REACH = 5.0  # voxels: as far as an elevation window sees
+N_SUMS = 9  # numbers of `read_object` that are formed for all lanes at once
+# Best polynomial (Chebyshev) for (arcsin(t) / t - 1) / t^2 in t^2, on [0, 1/4]; highest power first, off by 1.5e-17.
+_ARCSIN = (
+    0.028757851367421566,
+    -0.014851887071247204,
+    0.01740087944269402,
+    0.005457506718640358,
+    0.01032281435018578,
+    0.011479177415184906,
+    0.013971212973552933,
+    0.017352392720869973,
+    0.02237217294214989,
+    0.030381944138531247,
+    0.04464285714635543,
+    0.07499999999998433,
+    0.16666666666666669,
+)
 
 
 class Readings(NamedTuple):
@@ -43,9 +60,9 @@ def read_object(
     first: int,
     end: int,
     worlds: np.ndarray,
-    with_orientation: bool,
     with_hull: bool,
     hull: np.ndarray,
+    sums: np.ndarray,
     out: Readings,
 ) -> None:
     """Reads the object whose points are `first` to `end`, in the lanes that have a world.
@@ -56,74 +73,99 @@ def read_object(
         first: First point.
         end: End of the points.
         worlds: (8,) world of each lane, MISSING for none.
-        with_orientation: Whether to read it.
         with_hull: Whether to read the hull's area.
         hull: (2, points + 1) int scratch.
+        sums: (N_SUMS, 1, 8) scratch.
         out: Receives the readings.
     """
     n = end - first
-    ax, ay = 0.0, 0.0
+    cx, cy, vx, vy = lanes.spread(0.0), lanes.spread(0.0), lanes.spread(0.0), lanes.spread(0.0)
+    low_x, low_y = lanes.spread(math.inf), lanes.spread(math.inf)
+    high_x, high_y = lanes.spread(-math.inf), lanes.spread(-math.inf)
     for p in range(first, end):
-        ax += initial[p, 0]
-        ay += initial[p, 1]
-    ax, ay = ax / n, ay / n
+        px, py = lanes.load(points, X, p), lanes.load(points, Y, p)
+        cx, cy = cx + px, cy + py
+        vx, vy = vx + lanes.load(points, VX, p), vy + lanes.load(points, VY, p)
+        low_x, low_y = lanes.minimum(px, low_x), lanes.minimum(py, low_y)
+        high_x, high_y = lanes.maximum(px, high_x), lanes.maximum(py, high_y)
+    cx, cy = cx / n, cy / n
+    lanes.store(sums, 0, 0, cx)
+    lanes.store(sums, 1, 0, cy)
+    lanes.store(sums, 2, 0, vx / n)
+    lanes.store(sums, 3, 0, vy / n)
+    lanes.store(sums, 4, 0, low_x)
+    lanes.store(sums, 5, 0, low_y)
+    lanes.store(sums, 6, 0, high_x)
+    lanes.store(sums, 7, 0, high_y)
+    lanes.store(sums, 8, 0, _orientation(points, initial, first, end, cx, cy))
     for lane in range(lanes.N_LANES):
         world = worlds[lane]
         if world == MISSING:
             continue
-        cx, cy, vx, vy = 0.0, 0.0, 0.0, 0.0
-        low_x, low_y, high_x, high_y = math.inf, math.inf, -math.inf, -math.inf
+        for k in range(2):
+            out.com[world, k], out.velocity[world, k] = sums[k, 0, lane], sums[2 + k, 0, lane]
+            out.low[world, k], out.high[world, k] = sums[4 + k, 0, lane], sums[6 + k, 0, lane]
+        out.orientation[world] = sums[8, 0, lane]
         for p in range(first, end):
-            px, py = points[X, p, lane], points[Y, p, lane]
-            cx, cy, vx, vy = cx + px, cy + py, vx + points[VX, p, lane], vy + points[VY, p, lane]
-            low_x, low_y, high_x, high_y = min(low_x, px), min(low_y, py), max(high_x, px), max(high_y, py)
-        cx, cy = cx / n, cy / n
-        out.com[world, 0], out.com[world, 1] = cx, cy
-        out.velocity[world, 0], out.velocity[world, 1] = vx / n, vy / n
-        out.low[world, 0], out.low[world, 1] = low_x, low_y
-        out.high[world, 0], out.high[world, 1] = high_x, high_y
-        for p in range(first, end):
-            out.relative[world, 0, p - first] = points[X, p, lane] - cx
-            out.relative[world, 1, p - first] = points[Y, p, lane] - cy
-        if with_orientation:
-            out.orientation[world] = _orientation(out.relative, world, initial, first, end, ax, ay)
+            out.relative[world, 0, p - first] = points[X, p, lane] - sums[0, 0, lane]
+            out.relative[world, 1, p - first] = points[Y, p, lane] - sums[1, 0, lane]
         if with_hull:
             out.hull_area[world] = _hull_area(out.relative, world, n, hull)
 
 
-@kernel
-def _orientation(
-    relative: np.ndarray, world: int, initial: np.ndarray, first: int, end: int, ax: float, ay: float
-) -> float:
+@inlined
+def _orientation(points: np.ndarray, initial: np.ndarray, first: int, end: int, cx: Any, cy: Any) -> Any:
     """Returns the mean unsigned angle from the points at reset, weighted by distance, with the sign of their turning.
 
     Args:
-        relative: (N, 2, n) points minus COM.
-        world: Its row.
+        points: (N_POINT_ROWS, P, 8) state.
         initial: (P, 2) points at reset.
         first: First point.
         end: End of the points.
-        ax: COM at reset.
-        ay: COM at reset.
+        cx: COM, lanes.
+        cy: COM, lanes.
     """
-    total, weights, turning = 0.0, 0.0, 0.0
+    ax, ay = 0.0, 0.0
+    for p in range(first, end):
+        ax += initial[p, 0]
+        ay += initial[p, 1]
+    ax, ay = ax / (end - first), ay / (end - first)
+    total, turning, weights = lanes.spread(0.0), lanes.spread(0.0), 0.0
     for p in range(first, end):
         ox, oy = initial[p, 0] - ax, initial[p, 1] - ay
-        nx, ny = relative[world, 0, p - first], relative[world, 1, p - first]
-        was, now = math.sqrt(ox * ox + oy * oy), math.sqrt(nx * nx + ny * ny)
-        cosine = _ALMOST_ONE
-        if was * now >= 1e-7:
-            cosine = (ox * nx + oy * ny) / (was * now)
-        if cosine > 1.0:
-            cosine = _ALMOST_ONE
-        elif cosine < -1.0:
-            cosine = -_ALMOST_ONE
-        total += was * math.acos(cosine)
+        nx, ny = lanes.load(points, X, p) - cx, lanes.load(points, Y, p) - cy
+        was, now = math.sqrt(ox * ox + oy * oy), lanes.sqrt(nx * nx + ny * ny)
+        if was == 0.0:
+            continue  # no direction, and no weight
+        cosine = (nx * ox + ny * oy) / (now * was)
+        cosine = lanes.select(lanes.less(now * was, 1e-7), _ALMOST_ONE, cosine)
+        cosine = lanes.select(lanes.less(1.0, cosine), _ALMOST_ONE, cosine)
+        cosine = lanes.select(lanes.less(cosine, -1.0), -_ALMOST_ONE, cosine)
+        total = total + _arccos(cosine) * was
         weights += was
-        if was > 0.0 and now > 0.0:
-            turning += (nx / now) * (oy / was) - (ny / now) * (ox / was)
+        turn = (nx / now) * (oy / was) - (ny / now) * (ox / was)
+        turning = turning + lanes.select(lanes.less(0.0, now), turn, 0.0)
     angle = total / weights
-    return _TWO_PI - angle if turning > 0.0 else angle
+    return lanes.select(lanes.less(0.0, turning), _TWO_PI - angle, angle)
+
+
+@inlined
+def _arccos(x: Any) -> Any:
+    """Returns arc cosines of lanes in [-1, 1], to two units in the last place.
+
+    By arccos(x) = pi/2 - arcsin(x) where |x| < 1/2, else 2 arcsin(sqrt((1 - |x|) / 2)), and a polynomial for
+    (arcsin(t) / t - 1) / t^2 on [0, 1/4].
+    """
+    size = lanes.absolute(x)
+    is_middle = lanes.less(size, 0.5)
+    square = lanes.select(is_middle, size * size, (1.0 - size) * 0.5)
+    t = lanes.select(is_middle, size, lanes.sqrt(square))
+    tail = lanes.spread(_ARCSIN[0])
+    for k in range(1, len(_ARCSIN)):
+        tail = tail * square + _ARCSIN[k]
+    arcsin = t + t * (square * tail)
+    angle = lanes.select(is_middle, math.pi / 2 - arcsin, 2.0 * arcsin)  # of |x|
+    return lanes.select(lanes.less(x, 0.0), math.pi - angle, angle)
 
 
 @inlined

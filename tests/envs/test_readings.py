@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from evogymcm.sim.lanes import N_LANES
-from evogymcm.sim.readings import Terrain, new_readings, read_object, read_window
+from evogymcm.sim.readings import N_SUMS, Terrain, new_readings, read_object, read_window
 from evogymcm.sim.springs import VX, VY, X, Y
 from tests.envs.tools import (
     PAPER_ROBOTS,
@@ -32,8 +32,8 @@ def as_state(xy, velocity=None):
 
 def read(was, now, velocity=None):
     n = was.shape[1]
-    readings, hull = new_readings(1, n), np.zeros((2, 2 * n + 2), np.int64)
-    read_object(as_state(now, velocity), was.T.copy(), 0, n, LANE_3, True, True, hull, readings)
+    readings, hull, sums = new_readings(1, n), np.zeros((2, 2 * n + 2), np.int64), np.zeros((N_SUMS, 1, N_LANES))
+    read_object(as_state(now, velocity), was.T.copy(), 0, n, LANE_3, True, hull, sums, readings)
     return readings
 
 
@@ -175,3 +175,14 @@ def test_flat_observation_against_slow_twins(task, body):
     np.testing.assert_allclose(engine.flat[0], expected, rtol=0, atol=1e-9)
     if task == "AreaMaximizer-v0":
         np.testing.assert_allclose(engine.returns[0], 10 * (slow_hull_area(now) - area), rtol=0, atol=1e-12)
+
+
+def test_orientation_to_the_last_digits():
+    rng = np.random.default_rng(3)
+    was = rng.normal(size=(2, 8))
+    was -= was.mean(1, keepdims=True)
+    for angle in np.concatenate([np.linspace(1e-3, math.pi - 1e-3, 40), [1.0471975, 1.0471976, 2.0943951, 2.0943952]]):
+        got = read(was, rotation(angle) @ was).orientation[0]
+        cosine = np.clip(np.cos(angle), -1, 1)
+        # What the cosine's own rounding leaves, a few units in the last place otherwise.
+        assert abs(got - angle) <= 4e-16 / math.sqrt(1 - cosine**2) + 1e-15
