@@ -1,19 +1,24 @@
 """Learning: a policy shared by all voxels, PPO, evaluation, run folders."""
 
-from evogymcm.algos.actor import VoxelActor, make_actor
-from evogymcm.algos.critic import VoxelCritic, make_critic
+from evogymcm.algos.actor import Actor, MLPActor, VoxelActor, load_actor, make_actor
+from evogymcm.algos.critic import MLPCritic, VoxelCritic, make_critic
 from evogymcm.algos.distributions import MaskedSquashedNormal, VoxelActions
 from evogymcm.algos.evaluate import Evaluation, evaluate
 from evogymcm.algos.ppo import PPOConfig, PPOLearner
 from evogymcm.algos.runs import RunFolder, stop_on_interrupt
+from evogymcm.algos.sharing import PerDesign, by_design, by_world, stack_states, take_state
 from evogymcm.algos.training import EnvFactory, Progress, Trainer, TrainResult, train
 
 __all__ = [
+    "Actor",
     "EnvFactory",
     "Evaluation",
+    "MLPActor",
+    "MLPCritic",
     "MaskedSquashedNormal",
     "PPOConfig",
     "PPOLearner",
+    "PerDesign",
     "Progress",
     "RunFolder",
     "TrainResult",
@@ -21,9 +26,14 @@ __all__ = [
     "VoxelActions",
     "VoxelActor",
     "VoxelCritic",
+    "by_design",
+    "by_world",
     "evaluate",
+    "load_actor",
     "make_actor",
     "make_critic",
+    "stack_states",
     "stop_on_interrupt",
+    "take_state",
     "train",
 ]

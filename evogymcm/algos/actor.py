@@ -1,7 +1,8 @@
-"""A policy that drives every voxel of every body with the same small network."""
+"""Policies: one that drives every voxel of every body with the same small network, and a plain one to compare with."""
 
 import math
 from collections.abc import Mapping
+from typing import Any
 
 import torch
 from tensordict import TensorDictBase
@@ -10,10 +11,12 @@ from torch import Tensor, nn
 from torchrl.envs import EnvBase, ExplorationType
 from torchrl.envs.utils import exploration_type
 
+from evogymcm.algos.context import CONTEXTS
 from evogymcm.algos.distributions import IDLE, MaskedSquashedNormal, VoxelActions
-from evogymcm.algos.features import N_INPUTS, NormalizedLinear, orthogonal, pool, voxel_frame, voxel_inputs
+from evogymcm.algos.features import N_INPUTS, Dense, NormalizedDense, voxel_frame, voxel_inputs
+from evogymcm.algos.sharing import take_state
 
-__all__ = ["VoxelActor", "make_actor"]
+__all__ = ["Actor", "MLPActor", "VoxelActor", "load_actor", "make_actor"]
 
 # Action entry -> observation that marks the voxels it drives, and the mean action before training. Actuation starts
 # in the middle of its range, stiffness at 1, where a co-optimised robot is the same robot as a control-only one.
@@ -21,18 +24,17 @@ _HEADS: Mapping[str, tuple[str, float | None]] = {"actuation": ("actuators", Non
 _REACH = 3.0  # means before squashing stay within this: 99.5 % of the range, and probabilities that stay finite
 
 
-class VoxelActor(TensorDictModuleBase):
-    """Stochastic policy with weights shared by all voxels.
+class Actor(TensorDictModuleBase):
+    """Stochastic policy with one bounded action for each voxel and head.
 
-    Each voxel sees its own features, the mean over the body of what all voxels encode, and the task's features. The
-    module therefore takes any number of bodies, of any shape, in any padded grid. It samples unless the exploration
-    type is deterministic (`torchrl.envs.set_exploration_type`).
+    It samples unless the exploration type is deterministic (`torchrl.envs.set_exploration_type`). With `copies`, it is
+    D policies with weights of their own, and inputs have a leading dimension of designs (see `sharing`).
 
     Args:
-        task_features: features of the task, G.
+        in_keys: observations that the means depend on.
         ranges: action entry ("actuation", "stiffness") -> (low, high).
-        hidden: width of both hidden layers.
         initial_std: standard deviation before squashing that training starts with (1 fills the range).
+        copies: D, or None for a single policy.
 
     Raises:
         ValueError: if `ranges` names no head or an unknown one.
@@ -40,55 +42,44 @@ class VoxelActor(TensorDictModuleBase):
 
     dist_sample_keys = ["action"]  # noqa: RUF012  (names that TorchRL's losses look up)
     log_prob_keys = ["action_log_prob"]  # noqa: RUF012
+    form: dict[str, Any]  # arguments that make another of the same form, with the name of the network
 
     def __init__(
-        self,
-        task_features: int,
-        ranges: Mapping[str, tuple[float, float]],
-        hidden: int = 64,
-        initial_std: float = 1.0,
+        self, in_keys: list[str], ranges: Mapping[str, tuple[float, float]], initial_std: float, copies: int | None
     ) -> None:
         super().__init__()
         if not ranges or not set(ranges) <= set(_HEADS):
             raise ValueError(f"action heads: got {sorted(ranges)}, allowed are {sorted(_HEADS)}")
-        self.ranges = dict(ranges)
-        self.in_keys = ["voxels", "types", "task", "occupancy", *(_HEADS[name][0] for name in ranges)]
-        self.in_keys = list(dict.fromkeys(self.in_keys))
+        self.ranges, self.copies = dict(ranges), copies
+        self.in_keys = list(dict.fromkeys([*in_keys, *(_HEADS[name][0] for name in ranges)]))
         self.out_keys = [*(("action", name) for name in ranges), "action_log_prob"]
-        self.encode = NormalizedLinear(N_INPUTS, hidden, voxel_frame())
-        self.task = NormalizedLinear(task_features, hidden)
-        self.local = nn.Linear(hidden, hidden)
-        self.body = nn.Linear(hidden, hidden, bias=False)
-        self.heads = nn.Linear(hidden, len(ranges))
-        self.log_std = nn.Parameter(torch.full((len(ranges),), math.log(initial_std)))
-        for layer in (self.encode, self.local, self.body):
-            orthogonal(layer, math.sqrt(2))
-        orthogonal(self.task)
-        orthogonal(self.heads, 0.01)
-        with torch.no_grad():
-            self.heads.bias.copy_(torch.tensor([self._start(name) for name in ranges]))
+        lead = () if copies is None else (copies,)
+        self.log_std = nn.Parameter(torch.full((*lead, len(ranges)), math.log(initial_std)))
 
-    def _start(self, name: str) -> float:
-        """Output that gives the head's first action."""
-        (low, high), first = self.ranges[name], _HEADS[name][1]
-        return (
-            0.0 if first is None else _REACH * math.atanh(math.atanh((2 * first - low - high) / (high - low)) / _REACH)
-        )
+    def _starts(self) -> Tensor:
+        """Outputs that give the heads' first actions."""
+        starts = []
+        for name, (low, high) in self.ranges.items():
+            first = _HEADS[name][1]
+            scaled = 0.0 if first is None else math.atanh((2 * first - low - high) / (high - low))
+            starts.append(_REACH * math.atanh(scaled / _REACH))
+        return torch.tensor(starts)
 
-    def _means(self, tensordict: TensorDictBase) -> Tensor:
-        """Means before squashing, (..., V, heads)."""
-        encoded = torch.relu(self.encode(voxel_inputs(tensordict)))
-        shared = self.body(pool(encoded, tensordict.get("occupancy"))) + self.task(tensordict.get("task"))
-        outputs = self.heads(torch.relu(self.local(encoded) + shared.unsqueeze(-2)))
-        return _REACH * torch.tanh(outputs / _REACH)
+    def outputs(self, tensordict: TensorDictBase) -> Tensor:
+        """Returns the network's outputs, (..., V, heads)."""
+        raise NotImplementedError
 
     def get_dist(self, tensordict: TensorDictBase) -> VoxelActions:
         """Returns the action distribution for the observations in `tensordict`."""
-        means = self._means(tensordict)
+        means = _REACH * torch.tanh(self.outputs(tensordict) / _REACH)
         std = self.log_std.exp()
+        if self.copies is not None:
+            std = std.reshape(self.copies, *[1] * (means.dim() - 2), -1)
         return VoxelActions(
             {
-                name: MaskedSquashedNormal(means[..., i], std[i], tensordict.get(_HEADS[name][0]), *self.ranges[name])
+                name: MaskedSquashedNormal(
+                    means[..., i], std[..., i], tensordict.get(_HEADS[name][0]), *self.ranges[name]
+                )
                 for i, name in enumerate(self.ranges)
             }
         )
@@ -109,16 +100,163 @@ class VoxelActor(TensorDictModuleBase):
 
     def observe(self, tensordict: TensorDictBase) -> None:
         """Takes observations (any batch shape) into the running normalisation of the inputs."""
-        self.encode.observe(voxel_inputs(tensordict)[tensordict.get("occupancy")])
-        self.task.observe(tensordict.get("task").flatten(0, -2))
+        raise NotImplementedError
 
 
-def make_actor(env: EnvBase, hidden: int = 64, initial_std: float = 1.0) -> VoxelActor:
-    """Returns an untrained actor that fits the observations and action ranges of `env`."""
+class VoxelActor(Actor):
+    """Policy with weights shared by all voxels.
+
+    Each voxel sees its own features, a context of the rest of its body, and the task's features. The module therefore
+    takes any number of bodies, of any shape, in any padded grid.
+
+    Args:
+        task_features: features of the task, G.
+        ranges: action entry ("actuation", "stiffness") -> (low, high).
+        hidden: width of both hidden layers.
+        initial_std: standard deviation before squashing that training starts with (1 fills the range).
+        context: what a voxel knows of the rest of its body: "none", "body" (the mean over it), "message" (also what
+            its neighbours encode) or "attention".
+        columns: of the padded grid; it matters to messages only, and is no weight: set it anew for another grid.
+        copies: D policies with weights of their own; None for one.
+
+    Raises:
+        ValueError: if `ranges` names no head or an unknown one, and for an unknown context.
+    """
+
+    def __init__(
+        self,
+        task_features: int,
+        ranges: Mapping[str, tuple[float, float]],
+        hidden: int = 64,
+        initial_std: float = 1.0,
+        context: str = "body",
+        columns: int = 1,
+        copies: int | None = None,
+    ) -> None:
+        super().__init__(["voxels", "types", "task", "occupancy"], ranges, initial_std, copies)
+        if context not in CONTEXTS:
+            raise ValueError(f"context: got {context!r}, allowed are {sorted(CONTEXTS)}")
+        self.columns = columns
+        self.form = {"network": "voxel", "task_features": task_features, "ranges": self.ranges, "hidden": hidden}
+        self.form |= {"context": context, "columns": columns, "copies": copies}
+        self.encode = NormalizedDense(N_INPUTS, hidden, voxel_frame(), copies)
+        self.task = NormalizedDense(task_features, hidden, copies=copies)
+        self.local = Dense(hidden, hidden, copies=copies)
+        self.context = CONTEXTS[context](hidden, copies)
+        self.heads = Dense(hidden, len(ranges), copies=copies)
+        for layer in (self.encode, self.local):
+            layer.orthogonal(math.sqrt(2))
+        self.heads.orthogonal(0.01)
+        with torch.no_grad():
+            self.heads.bias.copy_(self._starts())
+
+    def outputs(self, tensordict: TensorDictBase) -> Tensor:
+        """Returns the network's outputs, (..., V, heads)."""
+        encoded = torch.relu(self.encode(voxel_inputs(tensordict)))
+        occupancy, types, task = (tensordict.get(key) for key in ("occupancy", "types", "task"))
+        context = self.context(encoded, occupancy, types, self.columns) + self.task(task).unsqueeze(-2)
+        return self.heads(torch.relu(self.local(encoded) + context))
+
+    def observe(self, tensordict: TensorDictBase) -> None:
+        """Takes observations (any batch shape) into the running normalisation of the inputs."""
+        self.encode.observe(voxel_inputs(tensordict), tensordict.get("occupancy"))
+        self.task.observe(tensordict.get("task"))
+
+
+class MLPActor(Actor):
+    """The plain policy of the paper, for one body: two layers of tanh units on the task's flat observation.
+
+    Args:
+        features: size of the flat observation, D.
+        n_cells: cells of the body's grid, V.
+        ranges: action entry ("actuation", "stiffness") -> (low, high).
+        hidden: width of both hidden layers.
+        initial_std: standard deviation before squashing that training starts with (1 fills the range).
+        copies: policies with weights of their own; None for one.
+    """
+
+    def __init__(
+        self,
+        features: int,
+        n_cells: int,
+        ranges: Mapping[str, tuple[float, float]],
+        hidden: int = 64,
+        initial_std: float = 1.0,
+        copies: int | None = None,
+    ) -> None:
+        super().__init__(["observation"], ranges, initial_std, copies)
+        self.form = {"network": "mlp", "features": features, "n_cells": n_cells, "ranges": self.ranges}
+        self.form |= {"hidden": hidden, "copies": copies}
+        self.encode = NormalizedDense(features, hidden, copies=copies)
+        self.hidden = Dense(hidden, hidden, copies=copies)
+        self.heads = Dense(hidden, n_cells * len(ranges), copies=copies)
+        for layer in (self.encode, self.hidden):
+            layer.orthogonal(math.sqrt(2))
+        self.heads.orthogonal(0.01)
+        with torch.no_grad():
+            self.heads.bias.copy_(self._starts().repeat(n_cells))
+
+    def outputs(self, tensordict: TensorDictBase) -> Tensor:
+        """Returns the network's outputs, (..., V, heads)."""
+        hidden = torch.tanh(self.encode(tensordict.get("observation").float()))
+        return self.heads(torch.tanh(self.hidden(hidden))).unflatten(-1, (-1, len(self.ranges)))
+
+    def observe(self, tensordict: TensorDictBase) -> None:
+        """Takes observations (any batch shape) into the running normalisation of the inputs."""
+        self.encode.observe(tensordict.get("observation").float())
+
+
+def make_actor(
+    env: EnvBase,
+    hidden: int = 64,
+    initial_std: float = 1.0,
+    *,
+    network: str = "voxel",
+    context: str = "body",
+    copies: int | None = None,
+) -> Actor:
+    """Returns an untrained actor that fits the observations and action ranges of `env`.
+
+    Args:
+        env: a SoftRobotEnv.
+        hidden: width of the hidden layers.
+        initial_std: standard deviation before squashing that training starts with (1 fills the range).
+        network: "voxel", or "mlp" for the plain network on the flat observation, where all bodies are equal.
+        context: of the voxel network, see `VoxelActor`.
+        copies: policies with weights of their own; None for one.
+
+    Raises:
+        ValueError: for an unknown network, and for "mlp" where bodies differ.
+    """
+    check_network(network, env)
     spaces = {name: spec.space for name, spec in env.full_action_spec["action"].items()}
-    return VoxelActor(
-        task_features=env.observation_spec["task"].shape[-1],
-        ranges={name: (space.low.min().item(), space.high.max().item()) for name, space in spaces.items()},
-        hidden=hidden,
-        initial_std=initial_std,
-    )
+    ranges = {name: (space.low.min().item(), space.high.max().item()) for name, space in spaces.items()}
+    spec = env.observation_spec
+    if network == "mlp":
+        n_cells = spec["occupancy"].shape[-1]
+        return MLPActor(spec["observation"].shape[-1], n_cells, ranges, hidden, initial_std, copies)
+    columns = env.grid_shape[1]
+    return VoxelActor(spec["task"].shape[-1], ranges, hidden, initial_std, context, columns, copies)
+
+
+def load_actor(checkpoint: Mapping[str, Any], index: int | None = None) -> Actor:
+    """Returns the actor of a policy that `train` has saved, in any grid.
+
+    Args:
+        checkpoint: what `RunFolder.load("final")` or `("best")` returns.
+        index: of independent policies, the design whose policy is wanted; None for all of them, stacked.
+    """
+    form, weights = dict(checkpoint["form"]), checkpoint["actor"]
+    if index is not None:
+        form, weights = form | {"copies": None}, take_state(weights, index)
+    actor = {"voxel": VoxelActor, "mlp": MLPActor}[form.pop("network")](**form)
+    actor.load_state_dict(weights)
+    return actor
+
+
+def check_network(network: str, env: EnvBase) -> None:
+    """Raises ValueError for an unknown network, and for "mlp" where there is no flat observation."""
+    if network not in ("voxel", "mlp"):
+        raise ValueError(f"network: got {network!r}, allowed are 'voxel' and 'mlp'")
+    if network == "mlp" and "observation" not in env.observation_spec.keys():
+        raise ValueError("network: 'mlp' takes the flat observation, which there is only where all bodies are equal")

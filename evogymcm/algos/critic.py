@@ -1,16 +1,16 @@
-"""A state value that pools over the voxels of a body."""
+"""State values: one that pools over the voxels of a body, and a plain one to compare with."""
 
 import math
 
 import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
-from torch import nn
 from torchrl.envs import EnvBase
 
-from evogymcm.algos.features import N_INPUTS, NormalizedLinear, orthogonal, pool, voxel_frame, voxel_inputs
+from evogymcm.algos.actor import check_network
+from evogymcm.algos.features import N_INPUTS, Dense, NormalizedDense, pool, voxel_frame, voxel_inputs
 
-__all__ = ["VoxelCritic", "make_critic"]
+__all__ = ["Critic", "MLPCritic", "VoxelCritic", "make_critic"]
 
 
 class VoxelCritic(TensorDictModuleBase):
@@ -19,21 +19,21 @@ class VoxelCritic(TensorDictModuleBase):
     Args:
         task_features: features of the task, G.
         hidden: width of the hidden layers.
+        copies: critics with weights of their own, for inputs with a leading dimension of designs; None for one.
     """
 
     in_keys = ["voxels", "types", "task", "occupancy"]  # noqa: RUF012
     out_keys = ["state_value"]  # noqa: RUF012
 
-    def __init__(self, task_features: int, hidden: int = 64) -> None:
+    def __init__(self, task_features: int, hidden: int = 64, copies: int | None = None) -> None:
         super().__init__()
-        self.encode = NormalizedLinear(N_INPUTS, hidden, voxel_frame())
-        self.task = NormalizedLinear(task_features, hidden)
-        self.body = nn.Linear(hidden, hidden, bias=False)
-        self.value = nn.Linear(hidden, 1)
+        self.encode = NormalizedDense(N_INPUTS, hidden, voxel_frame(), copies)
+        self.task = NormalizedDense(task_features, hidden, copies=copies)
+        self.body = Dense(hidden, hidden, bias=False, copies=copies)
+        self.value = Dense(hidden, 1, copies=copies)
         for layer in (self.encode, self.body):
-            orthogonal(layer, math.sqrt(2))
-        orthogonal(self.task)
-        orthogonal(self.value, 0.1)
+            layer.orthogonal(math.sqrt(2))
+        self.value.orthogonal(0.1)
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Writes `state_value` (..., 1) into `tensordict` and returns it."""
@@ -44,10 +44,49 @@ class VoxelCritic(TensorDictModuleBase):
 
     def observe(self, tensordict: TensorDictBase) -> None:
         """Takes observations (any batch shape) into the running normalisation of the inputs."""
-        self.encode.observe(voxel_inputs(tensordict)[tensordict.get("occupancy")])
-        self.task.observe(tensordict.get("task").flatten(0, -2))
+        self.encode.observe(voxel_inputs(tensordict), tensordict.get("occupancy"))
+        self.task.observe(tensordict.get("task"))
 
 
-def make_critic(env: EnvBase, hidden: int = 64) -> VoxelCritic:
-    """Returns an untrained critic that fits the observations of `env`."""
-    return VoxelCritic(env.observation_spec["task"].shape[-1], hidden)
+class MLPCritic(TensorDictModuleBase):
+    """Value from the task's flat observation: two layers of tanh units.
+
+    Args:
+        features: size of the flat observation, D.
+        hidden: width of the hidden layers.
+        copies: critics with weights of their own; None for one.
+    """
+
+    in_keys = ["observation"]  # noqa: RUF012
+    out_keys = ["state_value"]  # noqa: RUF012
+
+    def __init__(self, features: int, hidden: int = 64, copies: int | None = None) -> None:
+        super().__init__()
+        self.encode = NormalizedDense(features, hidden, copies=copies)
+        self.hidden = Dense(hidden, hidden, copies=copies)
+        self.value = Dense(hidden, 1, copies=copies)
+        for layer in (self.encode, self.hidden):
+            layer.orthogonal(math.sqrt(2))
+        self.value.orthogonal(0.1)
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Writes `state_value` (..., 1) into `tensordict` and returns it."""
+        hidden = torch.tanh(self.encode(tensordict.get("observation").float()))
+        tensordict.set("state_value", self.value(torch.tanh(self.hidden(hidden))))
+        return tensordict
+
+    def observe(self, tensordict: TensorDictBase) -> None:
+        """Takes observations (any batch shape) into the running normalisation of the inputs."""
+        self.encode.observe(tensordict.get("observation").float())
+
+
+Critic = VoxelCritic | MLPCritic
+
+
+def make_critic(env: EnvBase, hidden: int = 64, *, network: str = "voxel", copies: int | None = None) -> Critic:
+    """Returns an untrained critic that fits the observations of `env`; arguments as for `make_actor`."""
+    check_network(network, env)
+    spec = env.observation_spec
+    if network == "mlp":
+        return MLPCritic(spec["observation"].shape[-1], hidden, copies)
+    return VoxelCritic(spec["task"].shape[-1], hidden, copies)

@@ -21,6 +21,7 @@ class Evaluation:
         score: sum of the rewards of all env-steps but the episode's last one, as the EvoGymCM paper counts.
         returns: sum of all rewards, with goal bonuses and penalties.
         length: env-steps of the episode.
+        goal: whether it ended by reaching the task's goal.
         unstable: whether the simulation became unstable.
         ceiling: largest possible score where the task has one, NaN where it has none.
     """
@@ -28,6 +29,7 @@ class Evaluation:
     score: NDArray[np.float64]
     returns: NDArray[np.float64]
     length: NDArray[np.int64]
+    goal: NDArray[np.bool_]
     unstable: NDArray[np.bool_]
     ceiling: NDArray[np.float64]
 
@@ -37,13 +39,16 @@ class Evaluation:
         return self.score / self.ceiling
 
     def summary(self) -> dict[str, float]:
-        """Returns the means over worlds, ready for a table; the ceiling's fraction only where there is one."""
+        """Returns the means over worlds, ready for a table; those of goal and ceiling only where there is one."""
         row = {
             "score": float(self.score.mean()),
             "return": float(self.returns.mean()),
             "episode_length": float(self.length.mean()),
+            "goal_rate": float(self.goal.mean()),
             "unstable": float(self.unstable.mean()),
         }
+        if self.goal.any():
+            row["steps_to_goal"] = float(self.length[self.goal].mean())
         if np.isfinite(self.ceiling).all():
             row["fraction_of_ceiling"] = float(self.fraction.mean())
         return row
@@ -66,7 +71,7 @@ def evaluate(policy: TensorDictModuleBase, env: EnvBase) -> Evaluation:
     """
     n = env.batch_size.numel()
     score, returns = np.zeros(n), np.zeros(n)
-    length, unstable = np.zeros(n, dtype=np.int64), np.zeros(n, dtype=bool)
+    length, unstable, goal = np.zeros(n, dtype=np.int64), np.zeros(n, dtype=bool), np.zeros(n, dtype=bool)
     running = np.ones(n, dtype=bool)
     with set_exploration_type(ExplorationType.DETERMINISTIC):
         state = env.reset()
@@ -77,5 +82,7 @@ def evaluate(policy: TensorDictModuleBase, env: EnvBase) -> Evaluation:
             ended = running & following["done"].squeeze(-1).numpy()
             for record, key in ((score, "score"), (returns, "return"), (unstable, "unstable")):
                 record[ended] = following[key].squeeze(-1).numpy()[ended]
+            is_over = following["terminated"].squeeze(-1).numpy() & ended
+            goal |= is_over & (returns > score)  # goals end an episode with a bonus, falls and instability with less
             running &= ~ended
-    return Evaluation(score, returns, length, unstable, np.array(env.score_ceiling, dtype=np.float64))
+    return Evaluation(score, returns, length, goal, unstable, np.array(env.score_ceiling, dtype=np.float64))

@@ -1,4 +1,4 @@
-"""From voxel observations to well-scaled network inputs: a voxel-centred frame and running normalisation."""
+"""Building blocks of the networks: well-scaled inputs from observations, and layers stacked over designs."""
 
 import torch
 from tensordict import TensorDictBase
@@ -6,7 +6,7 @@ from torch import Tensor, nn
 
 from evogymcm.envs.voxels import N_FEATURES, N_SIDES, N_TYPES, POSITIONS, VELOCITIES
 
-__all__ = ["N_INPUTS", "NormalizedLinear", "orthogonal", "pool", "voxel_frame", "voxel_inputs"]
+__all__ = ["N_INPUTS", "Dense", "NormalizedDense", "affine", "pool", "voxel_frame", "voxel_inputs"]
 
 N_INPUTS = N_FEATURES + N_SIDES * (N_TYPES - 1)  # of a voxel, as `voxel_inputs` gives them
 _CORNERS = 4
@@ -39,7 +39,49 @@ def voxel_frame() -> Tensor:
     return torch.cat([*rows, eye[start:]])
 
 
-class NormalizedLinear(nn.Linear):
+class Dense(nn.Module):
+    """Linear layer, or one for each of several designs: then inputs have a leading dimension of designs.
+
+    Args:
+        in_features: size of the last dimension of the input.
+        out_features: size of the output.
+        bias: whether there is one.
+        copies: D independent layers, for inputs (D, ..., in_features); None for a single one.
+    """
+
+    bias: nn.Parameter  # or None
+
+    def __init__(self, in_features: int, out_features: int, bias: bool = True, copies: int | None = None) -> None:
+        super().__init__()
+        lead = () if copies is None else (copies,)
+        self.copies = copies
+        self.weight = nn.Parameter(torch.zeros(*lead, out_features, in_features))
+        self.register_parameter("bias", nn.Parameter(torch.zeros(*lead, out_features)) if bias else None)
+        self.orthogonal()
+
+    @torch.no_grad()
+    def orthogonal(self, gain: float = 1.0) -> None:
+        """Sets orthogonal weights and zero biases (in place)."""
+        for weight in self.weight if self.copies else (self.weight,):
+            nn.init.orthogonal_(weight, gain)
+        if self.bias is not None:
+            self.bias.zero_()
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Returns (..., in_features) -> (..., out_features)."""
+        return affine(x, self.weight, self.bias)
+
+
+def affine(x: Tensor, weight: Tensor, bias: Tensor | None) -> Tensor:
+    """Returns `x @ weight.T + bias`, design by design where the weights have a leading dimension."""
+    if weight.dim() == 2:
+        return nn.functional.linear(x, weight, bias)
+    rows = x.flatten(1, -2)
+    out = rows @ weight.transpose(1, 2) if bias is None else torch.baddbmm(bias.unsqueeze(1), rows, weight.mT)
+    return out.unflatten(1, x.shape[1:-1])
+
+
+class NormalizedDense(Dense):
     """Linear layer whose inputs are first mapped by `frame`, then shifted and scaled by running statistics.
 
     Both steps are linear, so they are folded into the weights and cost nothing per sample. The statistics are buffers:
@@ -49,6 +91,7 @@ class NormalizedLinear(nn.Linear):
         in_features: size of the last dimension of the input.
         out_features: size of the output.
         frame: linear map applied before normalisation, (mapped, in_features); None for none.
+        copies: as for `Dense`; every design has statistics of its own.
     """
 
     count: Tensor
@@ -56,36 +99,40 @@ class NormalizedLinear(nn.Linear):
     var: Tensor
     frame: Tensor | None
 
-    def __init__(self, in_features: int, out_features: int, frame: Tensor | None = None) -> None:
+    def __init__(
+        self, in_features: int, out_features: int, frame: Tensor | None = None, copies: int | None = None
+    ) -> None:
         mapped = in_features if frame is None else frame.shape[0]
-        super().__init__(mapped, out_features)
+        super().__init__(mapped, out_features, copies=copies)
+        lead = () if copies is None else (copies,)
         self.register_buffer("frame", frame, persistent=False)
-        self.register_buffer("count", torch.zeros((), dtype=torch.float64))
-        self.register_buffer("mean", torch.zeros(mapped, dtype=torch.float64))
-        self.register_buffer("var", torch.ones(mapped, dtype=torch.float64))
+        self.register_buffer("count", torch.zeros(*lead, 1, dtype=torch.float64))
+        self.register_buffer("mean", torch.zeros(*lead, mapped, dtype=torch.float64))
+        self.register_buffer("var", torch.ones(*lead, mapped, dtype=torch.float64))
 
     def forward(self, x: Tensor) -> Tensor:
         """Returns the layer's output for raw inputs, (..., in_features) -> (..., out_features)."""
         std = self.var.sqrt()
         gain = torch.where(std < _MIN_STD, 1.0, 1 / std).to(x.dtype)
-        weight = self.weight * gain
-        bias = self.bias - weight @ self.mean.to(x.dtype)
-        return nn.functional.linear(x, weight if self.frame is None else weight @ self.frame, bias)
+        weight = self.weight * gain.unsqueeze(-2)
+        bias = self.bias - (weight @ self.mean.to(x.dtype).unsqueeze(-1)).squeeze(-1)
+        return affine(x, weight if self.frame is None else weight @ self.frame, bias)
 
     @torch.no_grad()
-    def observe(self, x: Tensor) -> None:
-        """Takes raw inputs (n, in_features) into the running mean and variance."""
-        if not len(x):
-            return
-        x = x if self.frame is None else x @ self.frame.T
-        x = x.to(torch.float64)
-        n, mean, var = len(x), x.mean(0), x.var(0, correction=0)
-        total = self.count + n
+    def observe(self, x: Tensor, mask: Tensor | None = None) -> None:
+        """Takes raw inputs (..., in_features), those of `mask` (...), into the running mean and variance."""
+        x = (x if self.frame is None else x @ self.frame.mT).to(torch.float64)
+        weights = torch.ones(x.shape[:-1]) if mask is None else mask
+        x, weights = (value.flatten(self.count.dim() - 1, -2) for value in (x, weights.to(x.dtype).unsqueeze(-1)))
+        n = weights.sum(-2)
+        mean = (x * weights).sum(-2) / n.clamp_min(1)
+        var = ((x - mean.unsqueeze(-2)).square() * weights).sum(-2) / n.clamp_min(1)
+        total = (self.count + n).clamp_min(1)
         shift = mean - self.mean
-        pooled = self.var * self.count + var * n + shift.square() * self.count * n / total
+        pooled = (self.var * self.count + var * n + shift.square() * self.count * n / total) / total
         self.mean.add_(shift * n / total)
-        self.var.copy_(pooled / total)
-        self.count.copy_(total)
+        self.var.copy_(torch.where(self.count + n > 0, pooled, self.var))
+        self.count.add_(n)
 
 
 def pool(x: Tensor, mask: Tensor) -> Tensor:
@@ -93,10 +140,3 @@ def pool(x: Tensor, mask: Tensor) -> Tensor:
     weights = mask.to(x.dtype)
     weights = weights / weights.sum(-1, keepdim=True).clamp_min(1)
     return torch.matmul(weights.unsqueeze(-2), x).squeeze(-2)
-
-
-def orthogonal(layer: nn.Linear, gain: float = 1.0) -> None:
-    """Sets orthogonal weights and zero biases (in place)."""
-    nn.init.orthogonal_(layer.weight, gain)
-    if layer.bias is not None:
-        nn.init.zeros_(layer.bias)

@@ -1,6 +1,7 @@
 """Proximal policy optimisation, Schulman et al., 2017 (clipped objective), with generalised advantage estimation."""
 
 from dataclasses import dataclass, fields
+from typing import Any
 
 import torch
 from tensordict import TensorDict, TensorDictBase
@@ -8,8 +9,10 @@ from torch import Tensor, nn
 from torchrl.objectives import ClipPPOLoss
 from torchrl.objectives.value import GAE
 
-from evogymcm.algos.actor import VoxelActor
-from evogymcm.algos.critic import VoxelCritic
+from evogymcm.algos.actor import Actor
+from evogymcm.algos.context import CONTEXTS
+from evogymcm.algos.critic import Critic
+from evogymcm.algos.sharing import by_design, by_world
 
 __all__ = ["PPOConfig", "PPOLearner"]
 
@@ -31,6 +34,7 @@ _LOGGED = {
     "kl": "kl_approx",
     "clipped": "clip_fraction",
 }
+_ALLOWED = {"network": ("voxel", "mlp"), "context": tuple(CONTEXTS), "sharing": ("shared", "independent")}
 
 
 @dataclass(frozen=True)
@@ -42,7 +46,7 @@ class PPOConfig:
         num_worlds: worlds simulated together.
         rollout_steps: env-steps per world between two updates.
         epochs: passes over a rollout per update.
-        minibatch: env-steps per gradient step.
+        minibatch: env-steps per gradient step, of each set of weights.
         learning_rate: of Adam, at the start.
         decay_learning_rate: whether it falls linearly to zero at the end.
         gamma: discount per env-step.
@@ -54,11 +58,14 @@ class PPOConfig:
         target_kl: an update stops after an epoch that moved the policy further than 1.5 times this; 0 for no limit.
         reward_scale: factor on rewards within the learner; scores and returns are never scaled.
         hidden: width of the networks.
+        network: "voxel" (shared by all voxels of any body) or "mlp" (plain, on the flat observation of one body).
+        context: what a voxel knows of the rest of its body, see `VoxelActor`.
+        sharing: "shared" (one set of weights for all designs) or "independent" (a set for each, trained side by side).
         initial_std: exploration at the start, standard deviation before squashing.
         final_std: the most exploration at the end; the limit falls geometrically from `initial_std`. A policy that has
             only ever acted with much noise may get stuck without it.
         eval_interval: env-steps between evaluations; 0 for only the untrained and the final policy.
-        eval_worlds: worlds in an evaluation: the number of bodies, 1 for a single one.
+        eval_worlds: worlds in an evaluation; None for one of each design.
         seed: of weights, exploration and environments.
         torch_threads: threads of torch while training.
     """
@@ -79,16 +86,25 @@ class PPOConfig:
     target_kl: float = 0.03
     reward_scale: float = 10.0
     hidden: int = 64
+    network: str = "voxel"
+    context: str = "body"
+    sharing: str = "shared"
     initial_std: float = 1.0
     final_std: float = 0.3
     eval_interval: int = 50_000
-    eval_worlds: int = 1
+    eval_worlds: int | None = None
     seed: int = 0
     torch_threads: int = 1
 
     def __post_init__(self) -> None:
         for field in fields(self):
             value, may_be_zero = getattr(self, field.name), field.name in _MAY_BE_ZERO
+            if field.name in _ALLOWED:
+                if value not in _ALLOWED[field.name]:
+                    raise ValueError(f"{field.name}: got {value!r}, allowed are {_ALLOWED[field.name]}")
+                continue
+            if value is None:
+                continue
             if value < 0 or (value == 0 and not may_be_zero):
                 raise ValueError(
                     f"{field.name}: got {value}, must {'not be negative' if may_be_zero else 'be positive'}"
@@ -105,14 +121,18 @@ class PPOConfig:
 class PPOLearner:
     """Improves an actor and a critic from rollouts; never sees an environment.
 
+    Stacked networks (with `copies`) learn side by side, each from its own designs' worlds: advantages are normalised
+    and gradients clipped for each by itself. Only the KL guard looks at all of them together.
+
     Args:
         actor: the policy, changed in place.
         critic: the state value, changed in place.
         config: settings of the run.
     """
 
-    def __init__(self, actor: VoxelActor, critic: VoxelCritic, config: PPOConfig) -> None:
+    def __init__(self, actor: Actor, critic: Critic, config: PPOConfig) -> None:
         self.actor, self.critic, self.config = actor, critic, config
+        self.copies = actor.copies
         self.loss = ClipPPOLoss(
             actor,
             critic,
@@ -122,7 +142,7 @@ class PPOLearner:
             loss_critic_type="l2",
             functional=False,
         )
-        self.gae = GAE(gamma=config.gamma, lmbda=config.gae_lambda, value_network=None, average_gae=True)
+        self.gae = GAE(gamma=config.gamma, lmbda=config.gae_lambda, value_network=None)
         parameters = [*actor.parameters(), *critic.parameters()]
         self.optimizer = torch.optim.Adam(parameters, config.learning_rate, eps=1e-5, fused=True)
 
@@ -144,8 +164,8 @@ class PPOLearner:
             group["lr"] = rate
         samples, explained = self._samples(rollout)
         for epoch in range(1, config.epochs + 1):  # noqa: B007  (used after the loop)
-            shuffled = samples[torch.randperm(len(samples))]
-            logged = torch.stack([self._step(batch) for batch in shuffled.split(config.minibatch)]).mean(0)
+            shuffled = samples[..., torch.randperm(samples.shape[-1])]
+            logged = torch.stack([self._step(batch) for batch in shuffled.split(config.minibatch, -1)]).mean(0)
             stats = dict(zip(_LOGGED, logged.tolist(), strict=True))
             if config.target_kl and stats["kl"] > 1.5 * config.target_kl:
                 break
@@ -153,8 +173,12 @@ class PPOLearner:
         self.actor.limit_std(config.initial_std**remaining * config.final_std ** (1 - remaining))
         return {**stats, "epochs": epoch, "explained_variance": explained, "learning_rate": rate}
 
+    def _rows(self, data: TensorDictBase | Tensor) -> Any:
+        """Returns (worlds, steps, ...) as rows of samples: (n, ...), or of each design, (D, n, ...)."""
+        return data.flatten(0, 1) if self.copies is None else by_design(data, self.copies).flatten(1, 2)
+
     def _samples(self, rollout: TensorDictBase) -> tuple[TensorDict, float]:
-        """Flat training samples with advantages, and the explained variance of the critic."""
+        """Training samples with advantages, and the explained variance of the critic."""
         values, next_values = self._values(rollout)
         outcome = rollout.select(("next", "done"), ("next", "terminated"))
         outcome["state_value"], outcome["next", "state_value"] = values, next_values
@@ -163,9 +187,12 @@ class PPOLearner:
             self.gae(outcome)  # over (worlds, steps): time must still be the last dimension
         targets = outcome["value_target"]
         explained = 1 - (targets - values).var() / targets.var().clamp_min(1e-12)
-        samples = rollout.select(*self.actor.in_keys, *self.critic.in_keys, "action", "action_log_prob")
-        samples["advantage"], samples["value_target"] = outcome["advantage"], targets
-        return samples.reshape(-1), explained.item()
+        samples = self._rows(rollout.select(*self.actor.in_keys, *self.critic.in_keys, "action", "action_log_prob"))
+        advantage = self._rows(outcome["advantage"])
+        spread = advantage.std(-2, keepdim=True).clamp_min(1e-6)
+        samples["advantage"] = (advantage - advantage.mean(-2, keepdim=True)) / spread
+        samples["value_target"] = self._rows(targets)
+        return samples, explained.item()
 
     @torch.no_grad()
     def _values(self, rollout: TensorDictBase) -> tuple[Tensor, Tensor]:
@@ -174,22 +201,28 @@ class PPOLearner:
         following = torch.cat([values[:, 1:], values[:, -1:]], 1)
         is_cut = rollout["next", "done"].squeeze(-1).clone()  # the next row is no continuation: ask the critic
         is_cut[:, -1] = True
-        following[is_cut] = self._value(rollout["next"].select(*self.critic.in_keys)[is_cut])
+        steps = is_cut.any(0)
+        cut = self._value(rollout["next"].select(*self.critic.in_keys)[:, steps])
+        following[:, steps] = torch.where(is_cut[:, steps].unsqueeze(-1), cut, following[:, steps])
         return values, following
 
     def _value(self, observations: TensorDictBase) -> Tensor:
-        """Critic's values in pieces that stay in the processor's cache."""
-        pieces = [self.critic(piece)["state_value"] for piece in observations.reshape(-1).split(1024)]
-        return torch.cat(pieces).reshape(*observations.batch_size, 1)
+        """Critic's values of (worlds, steps), in pieces that stay in the processor's cache."""
+        rows = self._rows(observations)
+        pieces = [self.critic(piece)["state_value"] for piece in rows.split(1024 // (self.copies or 1) + 1, -1)]
+        values = torch.cat(pieces, -2)
+        if self.copies is not None:
+            values = by_world(values.unflatten(1, (-1, observations.batch_size[1])))
+        return values.reshape(*observations.batch_size, 1)
 
     def _step(self, batch: TensorDictBase) -> Tensor:
         """One gradient step; returns the numbers that `update` logs, in `_LOGGED`'s order."""
         out = self.loss(batch)
         self.optimizer.zero_grad()
-        (out["loss_objective"] + out["loss_critic"] + out["loss_entropy"]).backward()
+        loss = out["loss_objective"] + out["loss_critic"] + out["loss_entropy"]
+        (loss * (self.copies or 1)).backward()  # the mean over a design's own samples, whatever stands beside it
         norms = [
-            nn.utils.clip_grad_norm_(network.parameters(), self.config.max_grad_norm)
-            for network in (self.actor, self.critic)
+            clip_gradients(network, self.config.max_grad_norm, self.copies) for network in (self.actor, self.critic)
         ]
         if torch.stack(norms).isfinite().all():  # a probability ratio may overflow; one such step would be the end
             self.optimizer.step()
@@ -208,3 +241,22 @@ class PPOLearner:
         self.actor.load_state_dict(state["actor"])
         self.critic.load_state_dict(state["critic"])
         self.optimizer.load_state_dict(state["optimizer"])
+
+
+@torch.no_grad()
+def clip_gradients(network: nn.Module, limit: float, copies: int | None) -> Tensor:
+    """Scales gradients down to a norm of `limit`, those of each of the stacked networks by itself.
+
+    Returns:
+        The norm before, the largest of the stacked networks'. A stacked network whose gradient is not finite is given
+        none, so that it does not stop the others.
+    """
+    if copies is None:
+        return nn.utils.clip_grad_norm_(network.parameters(), limit)
+    gradients = [p.grad for p in network.parameters() if p.grad is not None]
+    norms = torch.stack([grad.flatten(1).square().sum(1) for grad in gradients]).sum(0).sqrt()  # (D,)
+    is_finite = norms.isfinite()
+    scale = torch.where(is_finite, (limit / (norms + 1e-6)).clamp(max=1.0), 0.0)
+    for grad in gradients:
+        grad.nan_to_num_(0.0, 0.0, 0.0).mul_(scale.reshape(-1, *[1] * (grad.dim() - 1)))
+    return torch.where(is_finite, norms, 0.0).max()

@@ -1,7 +1,7 @@
 """The training loop: rollouts, updates, evaluations, checkpoints."""
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -10,12 +10,14 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 from torchrl.collectors import Collector
 from torchrl.envs import EnvBase
+from torchrl.record.loggers import Logger
 
-from evogymcm.algos.actor import VoxelActor, make_actor
-from evogymcm.algos.critic import VoxelCritic, make_critic
+from evogymcm.algos.actor import Actor, make_actor
+from evogymcm.algos.critic import Critic, make_critic
 from evogymcm.algos.evaluate import Evaluation, evaluate
 from evogymcm.algos.ppo import PPOConfig, PPOLearner
 from evogymcm.algos.runs import RunFolder, stop_on_interrupt
+from evogymcm.algos.sharing import PerDesign, by_design, stack_states
 
 __all__ = ["EnvFactory", "Progress", "TrainResult", "Trainer", "train"]
 
@@ -60,8 +62,8 @@ class TrainResult:
         finished: False if the run was stopped before its end.
     """
 
-    actor: VoxelActor
-    critic: VoxelCritic
+    actor: Actor
+    critic: Critic
     rows: list[dict[str, Any]]
     final: Evaluation | None
     env_steps: int
@@ -106,6 +108,17 @@ def _torch_threads(count: int) -> Iterator[None]:
         torch.set_num_threads(before)
 
 
+def _copies(config: PPOConfig, env: EnvBase) -> int | None:
+    """Returns the number of sets of weights, None for shared ones."""
+    if config.sharing == "shared":
+        return None
+    for name in ("num_worlds", "eval_worlds"):
+        value = getattr(config, name)
+        if value is not None and value % env.num_designs:
+            raise ValueError(f"{name}: got {value}, independent sharing needs a multiple of {env.num_designs} designs")
+    return env.num_designs
+
+
 class Trainer:
     """One training run, advanced update by update.
 
@@ -119,15 +132,26 @@ class Trainer:
     def __init__(self, make_env: EnvFactory, config: PPOConfig) -> None:
         self.make_env, self.config = make_env, config
         self.env_steps, self.seconds, self.best_score = 0, 0.0, -float("inf")
+        self._is_fresh = True
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(config.seed)
             env = make_env(num_worlds=config.num_worlds, seed=config.seed)
-            self.actor = make_actor(env, config.hidden, config.initial_std)
-            self.critic = make_critic(env, config.hidden)
+            self.designs = env.num_designs
+            copies = _copies(config, env)
+            self.actor = make_actor(
+                env,
+                config.hidden,
+                config.initial_std,
+                network=config.network,
+                context=config.context,
+                copies=copies,
+            )
+            self.critic = make_critic(env, config.hidden, network=config.network, copies=copies)
+            self.policy = self.actor if copies is None else PerDesign(self.actor, copies)
             self.learner = PPOLearner(self.actor, self.critic, config)
             self.collector = _WorldCollector(
                 env,
-                self.actor,
+                self.policy,
                 frames_per_batch=config.frames_per_update,
                 auto_register_policy_transforms=False,
                 track_traj_ids=False,
@@ -152,10 +176,11 @@ class Trainer:
         start = time.perf_counter()
         with self._own_randomness(), _torch_threads(self.config.torch_threads):
             rollout = self.collector.rollout()
-            if not self.env_steps:  # the first policy hardly depends on its inputs: they may be rescaled under it
+            is_first = self._is_fresh and not self.env_steps
+            if is_first:  # a fresh policy hardly depends on its inputs: they may be rescaled under it
                 self._observe(rollout)
             row = self.learner.update(rollout, 1 - self.env_steps / self.config.total_steps)
-            if self.env_steps:  # after learning: the rollout's probabilities are those of the inputs' old scale
+            if not is_first:  # after learning: the rollout's probabilities are those of the inputs' old scale
                 self._observe(rollout)
         self.env_steps += rollout.numel()
         self.seconds += time.perf_counter() - start
@@ -165,18 +190,36 @@ class Trainer:
     def _observe(self, rollout: TensorDict) -> None:
         """Updates the running normalisation from a quarter of the rollout's steps, spread over it."""
         sample = rollout[:, ::4].select(*self.actor.in_keys)
+        if self.actor.copies is not None:
+            sample = by_design(sample, self.actor.copies)
         self.actor.observe(sample)
         self.critic.observe(sample)
 
     def evaluate(self) -> Evaluation:
         """Plays an episode in each world of a fresh environment with the present policy."""
         start = time.perf_counter()
-        env = self.make_env(num_worlds=self.config.eval_worlds, seed=self.config.seed)
+        env = self.make_env(num_worlds=self.config.eval_worlds or self.designs, seed=self.config.seed)
         with _torch_threads(self.config.torch_threads):
-            result = evaluate(self.actor, env)
+            result = evaluate(self.policy, env)
         env.close(raise_if_closed=False)
         self.seconds += time.perf_counter() - start
         return result
+
+    def policy_state(self) -> dict[str, Any]:
+        """Returns the policy as it is saved: what makes the actor (`load_actor`), and what training goes on from."""
+        return {"form": self.actor.form, **self.learner.state_dict()}
+
+    def start_from(self, policy: Mapping[str, Any]) -> None:
+        """Takes up a saved policy's weights (see `train`) instead of fresh ones."""
+        copies, given = self.actor.copies, policy["form"]["copies"]
+        for name, network in (("actor", self.actor), ("critic", self.critic)):
+            weights = policy[name]
+            if copies is not None and given is None:
+                weights = stack_states([weights] * copies)
+            network.load_state_dict(weights)
+        if copies == given:
+            self.learner.optimizer.load_state_dict(policy["optimizer"])
+        self._is_fresh = False
 
     def state_dict(self) -> dict[str, Any]:
         """Returns all that is needed to go on: networks, optimiser, random state, live worlds, counters."""
@@ -208,6 +251,8 @@ def train(
     run: RunFolder | None = None,
     progress: Callable[[Progress], None] | None = None,
     should_stop: Callable[[], bool] | None = None,
+    start_from: Mapping[str, Any] | None = None,
+    logger: Logger | None = None,
 ) -> TrainResult:
     """Trains a policy with PPO and returns it with its learning curve.
 
@@ -222,8 +267,13 @@ def train(
         progress: called at the start (with the untrained policy's row, or the last one of a resumed run) and after
             every update.
         should_stop: asked after every update; the run then ends with a checkpoint. By default Ctrl-C stops it so.
+        start_from: a saved policy (`RunFolder.load("best")`) to start from instead of fresh weights, for fine-tuning or
+            for another body. Single weights start every one of independent policies.
+        logger: any of TorchRL's loggers (CSV, TensorBoard, W&B); receives every number of every row.
     """
     trainer, rows = Trainer(make_env, config), []
+    if start_from is not None:
+        trainer.start_from(start_from)
     saved = run.load(CHECKPOINT) if run else None
     if run and saved:
         trainer.load_state_dict(saved["trainer"])
@@ -232,7 +282,7 @@ def train(
         if progress:
             progress(Progress(trainer.env_steps, config.total_steps, trainer.seconds, rows[-1]))
     with stop_on_interrupt() if should_stop is None else nullcontext(should_stop) as is_stopped:
-        result = _loop(trainer, rows, run, progress, is_stopped)
+        result = _loop(trainer, rows, run, progress, is_stopped, logger)
     trainer.close()
     return result
 
@@ -243,6 +293,7 @@ def _loop(
     run: RunFolder | None,
     progress: Callable[[Progress], None] | None,
     is_stopped: Callable[[], bool],
+    logger: Logger | None,
 ) -> TrainResult:
     """Updates until the end, with evaluations and checkpoints on the way."""
     config = trainer.config
@@ -255,6 +306,9 @@ def _loop(
             run.append(row)
         if run and evaluation is not None:
             _save(trainer, row, len(rows), run)
+        if logger:
+            for name, value in row.items():
+                logger.log_scalar(name, value, step=trainer.env_steps)
         if progress:
             progress(Progress(trainer.env_steps, config.total_steps, trainer.seconds, row))
 
@@ -279,7 +333,7 @@ def _loop(
 
 def _save(trainer: Trainer, row: dict[str, Any], n_rows: int, run: RunFolder) -> None:
     """Keeps the policy where it is the best or the last one, and the state to go on from."""
-    policy = {"actor": trainer.actor.state_dict(), "row": row}
+    policy = trainer.policy_state() | {"row": row}
     if row["score"] > trainer.best_score:
         trainer.best_score = row["score"]
         run.save(BEST, policy)

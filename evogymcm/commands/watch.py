@@ -126,18 +126,13 @@ def _load_policy(run: Path) -> "tuple[Control, str]":
     from tensordict import TensorDict
     from torchrl.envs import ExplorationType, set_exploration_type
 
-    from evogymcm.algos.actor import VoxelActor
-    from evogymcm.sim.constants import ACTUATION_HIGH, ACTUATION_LOW, STIFFNESS_HIGH, STIFFNESS_LOW
+    from evogymcm.algos.actor import load_actor
 
     path = next((path for path in (run / "final.pt", run / "best.pt", run) if path.is_file()), None)
     if path is None:
         raise ValueError(f"policy: {run} has neither final.pt nor best.pt")
-    weights = torch.load(path, weights_only=True)["actor"]
-    ranges = {"actuation": (ACTUATION_LOW, ACTUATION_HIGH)}
-    if len(weights["log_std"]) == 2:
-        ranges["stiffness"] = (STIFFNESS_LOW, STIFFNESS_HIGH)
-    actor = VoxelActor(weights["task.weight"].shape[1], ranges, hidden=weights["local.weight"].shape[0])
-    actor.load_state_dict(weights)
+    actor = load_actor(torch.load(path, weights_only=True))
+    material = "reactive" if "stiffness" in actor.ranges else "invariant"
 
     def control(engine: "TaskEngine") -> "tuple[np.ndarray, np.ndarray | None]":
         seen = {
@@ -150,6 +145,6 @@ def _load_policy(run: Path) -> "tuple[Control, str]":
         td = TensorDict({key: torch.from_numpy(value) for key, value in seen.items()}, [engine.num_worlds])
         with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
             action = actor(td)["action"]
-        return action["actuation"].numpy(), action["stiffness"].numpy() if "stiffness" in ranges else None
+        return action["actuation"].numpy(), action["stiffness"].numpy() if material == "reactive" else None
 
-    return control, "reactive" if "stiffness" in ranges else "invariant"
+    return control, material

@@ -61,6 +61,7 @@ class TaskEngine:
         score: (N,) the sum of the episode's rewards but the last (the paper's score, once the episode has ended).
         returns: (N,) the sum of all of them.
         length: (N,) env-steps of the episode.
+        num_designs: How many bodies were given: world w holds design w modulo this.
 
     Raises:
         ValueError: For an unknown task, material or edge rule, a body that is invalid or does not fit, or a stiffness
@@ -90,7 +91,7 @@ class TaskEngine:
         n = len(designs) if num_worlds is None else num_worlds
         if n < 1:
             raise ValueError(f"num_worlds: got {n}, at least 1 is needed")
-        self.num_worlds = n
+        self.num_worlds, self.num_designs = n, len(designs)
         self.bodies = tuple(designs[i % len(designs)] for i in range(n))
         world = self.task.world if isinstance(self.task.world, World) else World.load(self.task.world)
         placed = {body: self._place(world, body) for body in set(self.bodies)}

@@ -129,6 +129,11 @@ class SoftRobotEnv(EnvBase):
         return self.engine.bodies
 
     @property
+    def num_designs(self) -> int:
+        """How many bodies were given; world w holds number w modulo this."""
+        return self.engine.num_designs
+
+    @property
     def grid_shape(self) -> tuple[int, int]:
         """(rows, columns) of the padded grid."""
         return self.engine.grid_shape

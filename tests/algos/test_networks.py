@@ -9,7 +9,7 @@ from tensordict import TensorDict
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from evogymcm.algos import VoxelActor, make_actor, make_critic
-from evogymcm.algos.features import N_INPUTS, NormalizedLinear, pool, voxel_frame, voxel_inputs
+from evogymcm.algos.features import N_INPUTS, NormalizedDense, pool, voxel_frame, voxel_inputs
 from tests.algos.toy_env import SMALL, WIDE, ToyEnv
 
 
@@ -97,7 +97,7 @@ def test_actor_refuses_unknown_heads():
 def test_normalized_linear_equals_normalising_first():
     torch.manual_seed(0)
     frame = voxel_frame()
-    layer = NormalizedLinear(N_INPUTS, 8, frame)
+    layer = NormalizedDense(N_INPUTS, 8, frame)
     x = torch.randn(500, N_INPUTS) * torch.linspace(0.1, 5, N_INPUTS) + 3
     x[:, 30] = 2.0  # constant: shifted, not scaled
     for piece in x.split(123):
@@ -112,9 +112,9 @@ def test_normalized_linear_equals_normalising_first():
 
 
 def test_normalisation_is_saved_and_not_trained():
-    layer = NormalizedLinear(3, 2)
+    layer = NormalizedDense(3, 2)
     layer.observe(torch.randn(10, 3) + 5)
-    copy = NormalizedLinear(3, 2)
+    copy = NormalizedDense(3, 2)
     copy.load_state_dict(layer.state_dict())
     torch.testing.assert_close(copy.mean, layer.mean)
     assert {name for name, _ in layer.named_parameters()} == {"weight", "bias"}

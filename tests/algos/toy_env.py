@@ -59,7 +59,7 @@ class ToyEnv(EnvBase):
         grids = [_pad(self.bodies[i % len(self.bodies)], self.grid_shape) for i in range(num_worlds)]
         self.types = np.stack(grids).reshape(num_worlds, -1)
         self.occupancy, self.actuators = self.types > 0, self.types >= 3
-        self.voxel_features = FEATURES
+        self.voxel_features, self.num_designs = FEATURES, len(self.bodies)
         self._static = np.stack([self._constant_features(i) for i in range(num_worlds)])
         n, v = self.types.shape
         self.x, self.speed = np.zeros(n), np.zeros(n)
