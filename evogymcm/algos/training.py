@@ -1,5 +1,6 @@
 """The training loop: rollouts, updates, evaluations, checkpoints."""
 
+import copy
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, nullcontext
@@ -131,8 +132,9 @@ class Trainer:
 
     def __init__(self, make_env: EnvFactory, config: PPOConfig) -> None:
         self.make_env, self.config = make_env, config
-        self.env_steps, self.seconds, self.best_score = 0, 0.0, -float("inf")
+        self.env_steps, self.seconds = 0, 0.0
         self._is_fresh = True
+        self.best: dict[str, Any] | None = None
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(config.seed)
             env = make_env(num_worlds=config.num_worlds, seed=config.seed)
@@ -209,6 +211,26 @@ class Trainer:
         """Returns the policy as it is saved: what makes the actor (`load_actor`), and what training goes on from."""
         return {"form": self.actor.form, **self.learner.state_dict()}
 
+    def take_best(self, evaluation: Evaluation) -> bool:
+        """Keeps the present policy in `best` where its score is the highest so far; returns whether it is.
+
+        Independent policies are compared each with itself: `best` then holds policies of different moments.
+        """
+        copies = self.actor.copies
+        score = torch.from_numpy(evaluation.score)
+        score = score.mean(0, keepdim=True) if copies is None else score.reshape(-1, copies).mean(0)
+        if self.best is None or copies is None:
+            if self.best is None or score > self.best["score"]:
+                self.best = copy.deepcopy(self.policy_state()) | {"score": score}
+                return True
+            return False
+        is_better = score > self.best["score"]
+        for name in ("actor", "critic"):
+            for key, values in self.policy_state()[name].items():
+                self.best[name][key][is_better] = values[is_better]
+        self.best["score"] = torch.where(is_better, score, self.best["score"])
+        return bool(is_better.any())
+
     def start_from(self, policy: Mapping[str, Any]) -> None:
         """Takes up a saved policy's weights (see `train`) instead of fresh ones."""
         copies, given = self.actor.copies, policy["form"]["copies"]
@@ -229,7 +251,7 @@ class Trainer:
             "rng": self._rng_state,
             "env_steps": self.env_steps,
             "seconds": self.seconds,
-            "best_score": self.best_score,
+            "best": self.best,
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
@@ -237,7 +259,7 @@ class Trainer:
         self.learner.load_state_dict(state["learner"])
         self.collector.load_state_dict(state["worlds"])
         self._rng_state = state["rng"]
-        self.env_steps, self.seconds, self.best_score = state["env_steps"], state["seconds"], state["best_score"]
+        self.env_steps, self.seconds, self.best = state["env_steps"], state["seconds"], state["best"]
 
     def close(self) -> None:
         """Releases the environment."""
@@ -305,7 +327,7 @@ def _loop(
         if run:
             run.append(row)
         if run and evaluation is not None:
-            _save(trainer, row, len(rows), run)
+            _save(trainer, evaluation, row, len(rows), run)
         if logger:
             for name, value in row.items():
                 logger.log_scalar(name, value, step=trainer.env_steps)
@@ -331,14 +353,12 @@ def _loop(
     )
 
 
-def _save(trainer: Trainer, row: dict[str, Any], n_rows: int, run: RunFolder) -> None:
+def _save(trainer: Trainer, evaluation: Evaluation, row: dict[str, Any], n_rows: int, run: RunFolder) -> None:
     """Keeps the policy where it is the best or the last one, and the state to go on from."""
-    policy = trainer.policy_state() | {"row": row}
-    if row["score"] > trainer.best_score:
-        trainer.best_score = row["score"]
-        run.save(BEST, policy)
+    if trainer.take_best(evaluation):
+        run.save(BEST, {**(trainer.best or {}), "row": row})
     if trainer.is_finished:
-        run.save(FINAL, policy)
+        run.save(FINAL, trainer.policy_state() | {"row": row})
     run.save(CHECKPOINT, {"trainer": trainer.state_dict(), "rows": n_rows})
 
 

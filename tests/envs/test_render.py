@@ -279,7 +279,8 @@ def test_watch_opens_a_window(capsys):
 @pytest.mark.parametrize("material", ["reactive", "invariant"])
 def test_watch_plays_a_policy(tmp_path, material, capsys):
     env = SoftRobotEnv("Walker-v0", SMALL, 1, material=material, num_threads=1)
-    torch.save({"actor": make_actor(env, hidden=8).state_dict(), "row": {}}, tmp_path / "final.pt")
+    actor = make_actor(env, hidden=8)
+    torch.save({"form": actor.form, "actor": actor.state_dict(), "row": {}}, tmp_path / "final.pt")
     arguments = ["watch", "Walker-v0", "--body", SMALL, "--policy", str(tmp_path), "--steps", "2"]
     assert main([*arguments, "--out", str(tmp_path / "run.png"), "--width", "64", "--height", "32"]) == 0
     other = {"reactive": "invariant", "invariant": "reactive"}[material]
