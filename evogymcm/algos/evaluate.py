@@ -23,6 +23,7 @@ class Evaluation:
         length: env-steps of the episode.
         goal: whether it ended by reaching the task's goal.
         unstable: whether the simulation became unstable.
+        env_steps: simulated in all, those of worlds that waited for the last one included.
         ceiling: largest possible score where the task has one, NaN where it has none.
     """
 
@@ -32,6 +33,7 @@ class Evaluation:
     goal: NDArray[np.bool_]
     unstable: NDArray[np.bool_]
     ceiling: NDArray[np.float64]
+    env_steps: int
 
     @property
     def fraction(self) -> NDArray[np.float64]:
@@ -55,7 +57,7 @@ class Evaluation:
 
     def as_dict(self) -> dict[str, list[Any]]:
         """Returns all arrays as lists, ready for JSON."""
-        return {name: values.tolist() for name, values in asdict(self).items()}
+        return {name: np.asarray(values).tolist() for name, values in asdict(self).items()}
 
 
 @torch.no_grad()
@@ -85,4 +87,5 @@ def evaluate(policy: TensorDictModuleBase, env: EnvBase) -> Evaluation:
             is_over = following["terminated"].squeeze(-1).numpy() & ended
             goal |= is_over & (returns > score)  # goals end an episode with a bonus, falls and instability with less
             running &= ~ended
-    return Evaluation(score, returns, length, goal, unstable, np.array(env.score_ceiling, dtype=np.float64))
+    ceiling = np.array(env.score_ceiling, dtype=np.float64)
+    return Evaluation(score, returns, length, goal, unstable, ceiling, n * int(length.max()))

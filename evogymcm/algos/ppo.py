@@ -64,6 +64,7 @@ class PPOConfig:
         initial_std: exploration at the start, standard deviation before squashing.
         final_std: the most exploration at the end; the limit falls geometrically from `initial_std`. A policy that has
             only ever acted with much noise may get stuck without it.
+        schedule: which part of the schedules of learning rate and exploration the run covers: (0, 1) is all of it.
         eval_interval: env-steps between evaluations; 0 for only the untrained and the final policy.
         eval_worlds: worlds in an evaluation; None for one of each design.
         seed: of weights, exploration and environments.
@@ -91,6 +92,7 @@ class PPOConfig:
     sharing: str = "shared"
     initial_std: float = 1.0
     final_std: float = 0.3
+    schedule: tuple[float, float] = (0.0, 1.0)
     eval_interval: int = 50_000
     eval_worlds: int | None = None
     seed: int = 0
@@ -102,6 +104,10 @@ class PPOConfig:
             if field.name in _ALLOWED:
                 if value not in _ALLOWED[field.name]:
                     raise ValueError(f"{field.name}: got {value!r}, allowed are {_ALLOWED[field.name]}")
+                continue
+            if field.name == "schedule":
+                if not 0 <= value[0] < value[1] <= 1:
+                    raise ValueError(f"schedule: got {value}, expected two rising shares from 0 to 1")
                 continue
             if value is None:
                 continue

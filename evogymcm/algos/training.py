@@ -59,8 +59,12 @@ class TrainResult:
         rows: the table, one row per update and one, with `env_steps` 0, for the untrained policy.
         final: evaluation of the last policy; None if the run was stopped.
         env_steps: done in all worlds together.
+        eval_steps: env-steps simulated in evaluations, which `env_steps` leaves out.
         seconds: wall time of training and evaluations.
         finished: False if the run was stopped before its end.
+        best: the policy of the best evaluation, as it is saved, with its `score` in each world of that evaluation; of
+            independent policies each one's best.
+        policy: the last policy, as it is saved.
     """
 
     actor: Actor
@@ -68,8 +72,11 @@ class TrainResult:
     rows: list[dict[str, Any]]
     final: Evaluation | None
     env_steps: int
+    eval_steps: int
     seconds: float
     finished: bool
+    best: dict[str, Any]
+    policy: dict[str, Any]
 
     @property
     def best_score(self) -> float:
@@ -99,7 +106,7 @@ class _WorldCollector(Collector):
 
 
 @contextmanager
-def _torch_threads(count: int) -> Iterator[None]:
+def limited_threads(count: int) -> Iterator[None]:
     """Sets torch's number of threads for a while."""
     before = torch.get_num_threads()
     torch.set_num_threads(count)
@@ -132,7 +139,7 @@ class Trainer:
 
     def __init__(self, make_env: EnvFactory, config: PPOConfig) -> None:
         self.make_env, self.config = make_env, config
-        self.env_steps, self.seconds = 0, 0.0
+        self.env_steps, self.eval_steps, self.seconds = 0, 0, 0.0
         self._is_fresh = True
         self.best: dict[str, Any] | None = None
         with torch.random.fork_rng(devices=[]):
@@ -176,12 +183,14 @@ class Trainer:
     def update(self) -> dict[str, float]:
         """Collects one rollout, learns from it, and returns a row for the table."""
         start = time.perf_counter()
-        with self._own_randomness(), _torch_threads(self.config.torch_threads):
+        with self._own_randomness(), limited_threads(self.config.torch_threads):
             rollout = self.collector.rollout()
             is_first = self._is_fresh and not self.env_steps
             if is_first:  # a fresh policy hardly depends on its inputs: they may be rescaled under it
                 self._observe(rollout)
-            row = self.learner.update(rollout, 1 - self.env_steps / self.config.total_steps)
+            begin, end = self.config.schedule
+            done = begin + (end - begin) * self.env_steps / self.config.total_steps
+            row = self.learner.update(rollout, 1 - done)
             if not is_first:  # after learning: the rollout's probabilities are those of the inputs' old scale
                 self._observe(rollout)
         self.env_steps += rollout.numel()
@@ -201,9 +210,10 @@ class Trainer:
         """Plays an episode in each world of a fresh environment with the present policy."""
         start = time.perf_counter()
         env = self.make_env(num_worlds=self.config.eval_worlds or self.designs, seed=self.config.seed)
-        with _torch_threads(self.config.torch_threads):
+        with limited_threads(self.config.torch_threads):
             result = evaluate(self.policy, env)
         env.close(raise_if_closed=False)
+        self.eval_steps += result.env_steps
         self.seconds += time.perf_counter() - start
         return result
 
@@ -214,22 +224,24 @@ class Trainer:
     def take_best(self, evaluation: Evaluation) -> bool:
         """Keeps the present policy in `best` where its score is the highest so far; returns whether it is.
 
-        Independent policies are compared each with itself: `best` then holds policies of different moments.
+        A shared policy is judged by its mean score over worlds. Independent ones are compared each with itself: `best`
+        then holds policies of different moments.
         """
+        score, state = torch.from_numpy(evaluation.score), self.policy_state()
         copies = self.actor.copies
-        score = torch.from_numpy(evaluation.score)
-        score = score.mean(0, keepdim=True) if copies is None else score.reshape(-1, copies).mean(0)
-        if self.best is None or copies is None:
-            if self.best is None or score > self.best["score"]:
-                self.best = copy.deepcopy(self.policy_state()) | {"score": score}
-                return True
+        if copies is not None:
+            score = score.reshape(-1, copies).mean(0)
+        if self.best is None or (copies is None and score.mean() > self.best["score"].mean()):
+            self.best = {name: copy.deepcopy(state[name]) for name in ("form", "actor", "critic")} | {"score": score}
+            return True
+        is_better = torch.zeros_like(score, dtype=torch.bool) if copies is None else score > self.best["score"]
+        if not is_better.any():
             return False
-        is_better = score > self.best["score"]
         for name in ("actor", "critic"):
-            for key, values in self.policy_state()[name].items():
+            for key, values in state[name].items():
                 self.best[name][key][is_better] = values[is_better]
         self.best["score"] = torch.where(is_better, score, self.best["score"])
-        return bool(is_better.any())
+        return True
 
     def start_from(self, policy: Mapping[str, Any]) -> None:
         """Takes up a saved policy's weights (see `train`) instead of fresh ones."""
@@ -239,7 +251,7 @@ class Trainer:
             if copies is not None and given is None:
                 weights = stack_states([weights] * copies)
             network.load_state_dict(weights)
-        if copies == given:
+        if copies == given and "optimizer" in policy:
             self.learner.optimizer.load_state_dict(policy["optimizer"])
         self._is_fresh = False
 
@@ -250,6 +262,7 @@ class Trainer:
             "worlds": self.collector.state_dict(),
             "rng": self._rng_state,
             "env_steps": self.env_steps,
+            "eval_steps": self.eval_steps,
             "seconds": self.seconds,
             "best": self.best,
         }
@@ -259,7 +272,8 @@ class Trainer:
         self.learner.load_state_dict(state["learner"])
         self.collector.load_state_dict(state["worlds"])
         self._rng_state = state["rng"]
-        self.env_steps, self.seconds, self.best = state["env_steps"], state["seconds"], state["best"]
+        self.env_steps, self.eval_steps = state["env_steps"], state["eval_steps"]
+        self.seconds, self.best = state["seconds"], state["best"]
 
     def close(self) -> None:
         """Releases the environment."""
@@ -321,13 +335,14 @@ def _loop(
     config = trainer.config
 
     def record(row: dict[str, Any], evaluation: Evaluation | None) -> None:
+        is_best = evaluation is not None and trainer.take_best(evaluation)
         if evaluation is not None:
             row |= {**evaluation.summary(), "seconds": trainer.seconds}
         rows.append(row)
         if run:
             run.append(row)
         if run and evaluation is not None:
-            _save(trainer, evaluation, row, len(rows), run)
+            _save(trainer, is_best, row, len(rows), run)
         if logger:
             for name, value in row.items():
                 logger.log_scalar(name, value, step=trainer.env_steps)
@@ -346,16 +361,27 @@ def _loop(
         final = None
         if run:
             run.save(CHECKPOINT, {"trainer": trainer.state_dict(), "rows": len(rows)})
-    elif final is None:  # a run that had been finished before
+    elif final is None:  # a run that had been finished before: the same evaluation again, which counts once
+        counted = trainer.eval_steps
         final = trainer.evaluate()
+        trainer.eval_steps = counted
     return TrainResult(
-        trainer.actor, trainer.critic, rows, final, trainer.env_steps, trainer.seconds, trainer.is_finished
+        trainer.actor,
+        trainer.critic,
+        rows,
+        final,
+        trainer.env_steps,
+        trainer.eval_steps,
+        trainer.seconds,
+        trainer.is_finished,
+        trainer.best or {},
+        trainer.policy_state(),
     )
 
 
-def _save(trainer: Trainer, evaluation: Evaluation, row: dict[str, Any], n_rows: int, run: RunFolder) -> None:
+def _save(trainer: Trainer, is_best: bool, row: dict[str, Any], n_rows: int, run: RunFolder) -> None:
     """Keeps the policy where it is the best or the last one, and the state to go on from."""
-    if trainer.take_best(evaluation):
+    if is_best:
         run.save(BEST, {**(trainer.best or {}), "row": row})
     if trainer.is_finished:
         run.save(FINAL, trainer.policy_state() | {"row": row})

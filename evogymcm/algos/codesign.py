@@ -1,0 +1,440 @@
+"""Co-design of body, material and control: the outer loops of EvoGymCM, with their ablations.
+
+Four arms: "reactive" (bodies evolve, policies set stiffness), "fixed" (the same with stiffness 1), "invariant" (bodies
+and stiffness fields evolve, with material local search and fine-tuning of survivors) and "prescribed" (the same with
+one given stiffness, without search).
+"""
+
+from collections.abc import Callable, Mapping
+from contextlib import nullcontext
+from dataclasses import asdict, dataclass, field, replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from evogymcm.algos.design_search import Design, DesignSearch, Individual
+from evogymcm.algos.evolution import GeneticAlgorithm, HalvingSchedule, RandomSearch
+from evogymcm.algos.generation import Arena, Policy, Trained, score_alone, score_together, train_designs
+from evogymcm.algos.material_search import MaterialSearch
+from evogymcm.algos.ppo import PPOConfig
+from evogymcm.algos.runs import RunFolder, stop_on_interrupt
+from evogymcm.body import STIFFNESS_HIGH, STIFFNESS_LOW
+
+__all__ = ["ARMS", "Codesign", "CodesignConfig", "CodesignProgress", "CodesignResult", "SearchConfig", "codesign"]
+
+ARMS: Mapping[str, str] = {  # -> material setting
+    "reactive": "reactive",
+    "fixed": "invariant",
+    "invariant": "invariant",
+    "prescribed": "invariant",
+}
+METHODS = ("ga", "random", "qd")
+_STATE = "codesign"
+
+
+@dataclass(frozen=True)
+class SearchConfig:
+    """Material local search, see `MaterialSearch`; the defaults are those of EvoGymCM's reference code."""
+
+    rounds: int = 20
+    candidates: int = 1
+    probability: float = 0.15
+    sigma: float = 0.2
+    acceptance: str = "reference"
+    noise: str = "multiplicative"
+    proposal: str = "hill-climbing"
+
+
+@dataclass(frozen=True)
+class CodesignConfig:
+    """Everything that a co-design run depends on.
+
+    Attributes:
+        task: id of the task.
+        arm: "reactive", "fixed", "invariant" or "prescribed".
+        shape: rows and columns of the bodies.
+        method: "ga" (EvoGym's genetic algorithm), "random" search, or "qd" (a quality-diversity archive, extra).
+        population: P, bodies in a generation.
+        budget: M, bodies trained in all.
+        max_env_steps: simulated env-steps of all kinds after which the run ends (with the phase that it is in); None
+            for no limit but the budget.
+        mutation_rate: probability that a cell of a child is drawn anew.
+        attempts: at a valid mutant, before another parent is drawn.
+        inherit: whether a child starts from its parent's controller instead of a fresh one.
+        rungs: shares of the training budget at which bodies are compared (successive halving); none by default.
+        keep: share of the bodies that go on after each rung.
+        age_protection: generations in which new bodies are protected, see `GeneticAlgorithm`.
+        prescribed: stiffness of the "prescribed" arm.
+        edge_rule: how stiffness acts on shared edges.
+        search: material local search of the "invariant" arm.
+        finetune_steps: env-steps of each survivor's fine-tuning in the "invariant" arm; None for 1 % of the training.
+        ppo: inner loop of one body: its env-steps, its worlds, its share of a gradient step. `sharing` says whether the
+            bodies of a generation have policies of their own ("independent") or one.
+        seed: of bodies, mutations, weights and exploration.
+        num_threads: of the simulator.
+    """
+
+    task: str = "Walker-v0"
+    arm: str = "reactive"
+    shape: tuple[int, int] = (5, 5)
+    method: str = "ga"
+    population: int = 8
+    budget: int = 32
+    max_env_steps: int | None = None
+    mutation_rate: float = 0.1
+    attempts: int = 50
+    inherit: bool = False
+    rungs: tuple[float, ...] = ()
+    keep: tuple[float, ...] = ()
+    age_protection: int = 0
+    prescribed: float = 1.0
+    edge_rule: str = "mean_factor"
+    search: SearchConfig = field(default_factory=SearchConfig)
+    finetune_steps: int | None = None
+    ppo: PPOConfig = field(
+        default_factory=lambda: PPOConfig(
+            total_steps=100_000,
+            num_worlds=16,
+            minibatch=128,
+            eval_interval=10_000,
+            sharing="independent",
+        )
+    )
+    seed: int = 0
+    num_threads: int | None = 1
+
+    def __post_init__(self) -> None:
+        for name, allowed in (("arm", tuple(ARMS)), ("method", METHODS)):
+            if getattr(self, name) not in allowed:
+                raise ValueError(f"{name}: got {getattr(self, name)!r}, allowed are {allowed}")
+        if not STIFFNESS_LOW <= self.prescribed <= STIFFNESS_HIGH:
+            raise ValueError(f"prescribed: got {self.prescribed}, allowed is {STIFFNESS_LOW} to {STIFFNESS_HIGH}")
+        if self.max_env_steps is not None and self.max_env_steps < 1:
+            raise ValueError(f"max_env_steps: got {self.max_env_steps}, must be positive")
+        if self.finetune_steps is not None and self.finetune_steps < 1:
+            raise ValueError(f"finetune_steps: got {self.finetune_steps}, must be positive")
+        if self.ppo.network != "voxel":
+            raise ValueError(f"ppo.network: got {self.ppo.network!r}, bodies differ, so it must be 'voxel'")
+        self.halving()
+        self.make_search()
+
+    def halving(self) -> HalvingSchedule:
+        """Returns the schedule of successive halving; without rungs every body trains in full."""
+        return HalvingSchedule(tuple(self.rungs), tuple(self.keep))
+
+    def make_search(self) -> DesignSearch:
+        """Returns the optimiser over designs, before its first generation."""
+        if self.method == "random":
+            return RandomSearch(self.shape, self.budget, self.population, self.seed)
+        options: dict[str, Any] = {
+            "seed": self.seed,
+            "mutation_rate": self.mutation_rate,
+            "attempts": self.attempts,
+            "carries_stiffness": self.arm == "invariant",
+        }
+        if self.method == "qd":
+            from evogymcm.algos.archive import MapElites
+
+            return MapElites(self.shape, self.budget, self.population, **options)
+        return GeneticAlgorithm(self.shape, self.population, self.budget, age_protection=self.age_protection, **options)
+
+    def make_arena(self) -> Arena:
+        """Returns where designs are trained and scored."""
+        return Arena(self.task, ARMS[self.arm], self.edge_rule, self.num_threads)
+
+    def finetuning(self) -> PPOConfig:
+        """Returns the settings of a survivor's fine-tuning: on from where its schedules ended."""
+        steps = self.finetune_steps or max(1, self.ppo.total_steps // 100)
+        rate, std = self.ppo.learning_rate / 4, self.ppo.final_std
+        return replace(self.ppo, total_steps=steps, learning_rate=rate, initial_std=std, eval_interval=steps)
+
+
+@dataclass(frozen=True)
+class CodesignProgress:
+    """State of a run, told after every update of a policy and every round of a search.
+
+    Attributes:
+        generation: counted from 0.
+        phase: "train", "search" or "finetune".
+        env_steps: simulated so far, of all kinds.
+        n_designs: bodies proposed so far.
+        best: the best fitness so far, None before there is one.
+    """
+
+    generation: int
+    phase: str
+    env_steps: int
+    n_designs: int
+    best: float | None
+
+
+@dataclass(frozen=True)
+class CodesignResult:
+    """Outcome of a run.
+
+    Attributes:
+        best: the best individual; None where the run was stopped before there was one.
+        policy: its controller.
+        rows: the table, see `Codesign`.
+        env_steps: simulated in all.
+        finished: False if it was stopped.
+    """
+
+    best: Individual | None
+    policy: Policy | None
+    rows: list[dict[str, Any]]
+    env_steps: int
+    finished: bool
+
+
+class Codesign:
+    """One co-design run, advanced phase by phase.
+
+    Fitness is the score of the stored policy in a world by itself (`score_alone`), so that it can be had again to the
+    last bit. The table gets a row whenever an individual is trained, searched or fine-tuned: the individual's record,
+    the event, its score, the env-steps of all kinds so far, and the best fitness so far.
+
+    Args:
+        config: settings.
+        run: where everything is kept; None keeps it in memory.
+    """
+
+    def __init__(self, config: CodesignConfig, run: RunFolder | None = None) -> None:
+        self.config, self.run = config, run
+        self.arena, self.search = config.make_arena(), config.make_search()
+        self.env_steps, self.phase = 0, "train"
+        self.policies: dict[int, Policy] = {}  # of survivors and of the best
+        self.rows: list[dict[str, Any]] = []
+        self.champion: tuple[Individual, Policy] | None = None
+        self._tell: Callable[[CodesignProgress], None] = lambda progress: None
+        self._is_stopped: Callable[[], bool] = lambda: False
+        if run and (saved := run.load(_STATE)):
+            self._load(saved)
+        elif run:
+            run.keep_rows(0)  # of a run that was killed before its first state was saved
+
+    @property
+    def is_finished(self) -> bool:
+        """Whether a budget is used and all phases of the last generation are done."""
+        if self.phase != "train":
+            return False
+        limit = self.config.max_env_steps
+        return self.search.is_finished or (limit is not None and self.env_steps >= limit)
+
+    def advance(
+        self,
+        progress: Callable[[CodesignProgress], None] | None = None,
+        should_stop: Callable[[], bool] | None = None,
+    ) -> bool:
+        """Does the next phase; returns False where it was stopped on the way, to be gone on with later."""
+        self._tell, self._is_stopped = progress or self._tell, should_stop or self._is_stopped
+        done = {"train": self._train, "search": self._search_materials, "finetune": self._finetune}[self.phase]()
+        if done:
+            kept = {individual.index for individual in self.search.survivors}
+            self.policies = {index: policy for index, policy in self.policies.items() if index in kept}
+            if self.run:
+                self.run.save(_STATE, self._state())
+                for checkpoint in self.run.path.glob("generation-*/*.pt"):
+                    checkpoint.unlink()  # their policies are kept; the learning curves stay
+        return done
+
+    def _report(self, steps: int = 0) -> None:
+        best = None if self.champion is None else self.champion[0].fitness
+        state = (self.search.generation, self.phase, self.env_steps + steps, self.search.n_designs, best)
+        self._tell(CodesignProgress(*state))
+
+    def _design(self, individual: Individual) -> Design:
+        """Returns the design as it is simulated in this arm."""
+        design = individual.design
+        if self.config.arm == "prescribed":
+            return Design(design.body, np.where(design.body.occupancy, self.config.prescribed, 1.0))
+        return design
+
+    def _folder(self, name: str) -> RunFolder | None:
+        """Returns the folder of a training, gone on with where there is one."""
+        if self.run is None:
+            return None
+        path = self.run.path / f"generation-{self.search.generation:03}-{name}"
+        return RunFolder(path, {"generation": self.search.generation, "phase": name}, resume=path.exists())
+
+    def _learn(
+        self, name: str, designs: list[Design], ppo: PPOConfig, start_from: list[Policy] | None, spent: int
+    ) -> Trained:
+        """Trains designs together; `spent` env-steps of the phase have gone before."""
+        return train_designs(
+            self.arena,
+            designs,
+            replace(ppo, seed=self.config.seed + 1000 * self.search.generation),
+            run=self._folder(name),
+            start_from=start_from,
+            progress=lambda state: self._report(spent + state.env_steps),
+            should_stop=self._is_stopped,
+        )
+
+    def _train(self) -> bool:
+        """Trains the generation's new bodies, with successive halving where there are rungs."""
+        new = self.search.ask()
+        going, schedule = list(range(len(new))), self.config.halving()
+        designs = [self._design(individual) for individual in new]
+        policies: dict[int, Policy] = {}
+        scores = np.full(len(new), -np.inf)
+        start = None
+        if self.config.inherit and all(individual.parent is not None for individual in new):
+            start = [self.policies[individual.parent] for individual in new if individual.parent is not None]
+        bounds, steps = (0.0, *schedule.rungs, 1.0), 0
+        for rung, (begin, end) in enumerate(pairwise(bounds)):
+            total = max(1, round(self.config.ppo.total_steps * (end - begin)))
+            ppo = replace(self.config.ppo, total_steps=total, schedule=(begin, end))
+            trained = self._learn(f"train-{rung}", [designs[i] for i in going], ppo, start, steps)
+            if not trained.finished:
+                return False
+            steps += trained.env_steps
+            for i, policy, score in zip(going, trained.best, trained.scores, strict=True):
+                if score > scores[i]:
+                    scores[i], policies[i] = score, policy
+            if rung < len(schedule.rungs):
+                ranked = schedule.promote({i: float(scores[i]) for i in going}, rung)
+                last = dict(zip(going, trained.last, strict=True))
+                going, start = sorted(ranked), [last[i] for i in sorted(ranked)]
+        alone = score_alone(self.arena, designs, [policies[i] for i in range(len(new))])
+        self.env_steps += steps + alone.env_steps
+        generation = self.search.generation
+        self.search.tell({individual.index: float(alone.score[i]) for i, individual in enumerate(new)})
+        for i, individual in enumerate(new):
+            self.policies[individual.index] = policies[i]
+            told = replace(individual, fitness=float(alone.score[i]))
+            self._record("train", told, float(alone.returns[i]), generation)
+        self.phase = "search" if self.config.arm == "invariant" and self.search.survivors else "train"
+        return True
+
+    def _search_materials(self) -> bool:
+        """Searches the survivors' stiffness fields under their present controllers."""
+        config = self.config.search
+        survivors = self.search.survivors
+        policies = [self.policies[individual.index] for individual in survivors]
+        search = MaterialSearch(survivors, seed=(self.config.seed, self.search.generation), **asdict(config))
+        steps = 0
+        while not search.is_finished:
+            if self._is_stopped():
+                return False  # no more than a search is lost
+            scores, spent = self._score_proposals(search, survivors, policies)
+            search.tell(scores)
+            steps += spent
+            self._report(steps)
+        self.env_steps += steps
+        for individual, stiffness, score in zip(survivors, *search.best, strict=True):
+            if score > (individual.fitness or 0.0) or not np.array_equal(stiffness, individual.design.field):
+                self.search.update(individual.index, stiffness=stiffness, fitness=float(score))
+        self._record_survivors("search")
+        self.phase = "finetune"
+        return True
+
+    def _score_proposals(
+        self, search: MaterialSearch, survivors: list[Individual], policies: list[Policy]
+    ) -> tuple[np.ndarray, int]:
+        """Scores all proposals of a round in one batch, and the best of each that may be accepted also by itself."""
+        copies = self.config.search.candidates
+        fields = search.ask().reshape(len(survivors), copies, *self.config.shape)
+        designs = [
+            Design(individual.design.body, fields[i, copy])
+            for copy in range(copies)
+            for i, individual in enumerate(survivors)
+        ]
+        together = score_together(self.arena, designs, policies, copies)
+        scores = together.score.reshape(copies, len(survivors)).T.copy()  # (survivors, candidates)
+        picks = scores.argmax(1)
+        promising = [i for i in range(len(survivors)) if scores[i, picks[i]] >= search.best.scores[i]]
+        steps = together.env_steps
+        if promising:
+            chosen = [Design(survivors[i].design.body, fields[i, picks[i]]) for i in promising]
+            alone = score_alone(self.arena, chosen, [policies[i] for i in promising])
+            scores[promising, picks[promising]] = alone.score
+            steps += alone.env_steps
+        return scores.ravel(), steps
+
+    def _finetune(self) -> bool:
+        """Trains the survivors on, each on its present material; a policy is replaced only by a better one."""
+        survivors = self.search.survivors
+        designs = [individual.design for individual in survivors]
+        start = [self.policies[individual.index] for individual in survivors]
+        trained = self._learn("finetune", designs, self.config.finetuning(), start, 0)
+        if not trained.finished:
+            return False
+        alone = score_alone(self.arena, designs, trained.best)
+        self.env_steps += trained.env_steps + alone.env_steps
+        for individual, policy, score in zip(survivors, trained.best, alone.score, strict=True):
+            if score > (individual.fitness or 0.0):
+                self.policies[individual.index] = policy
+                self.search.update(individual.index, fitness=float(score))
+        self._record_survivors("finetune")
+        self.phase = "train"
+        return True
+
+    def _record_survivors(self, event: str) -> None:
+        for individual in self.search.survivors:
+            self._record(event, individual, None, self.search.generation - 1)
+
+    def _record(self, event: str, individual: Individual, total: float | None, generation: int) -> None:
+        """Adds a row, and keeps the controller and the best individual."""
+        assert individual.fitness is not None
+        policy = self.policies[individual.index]
+        if self.champion is None or individual.fitness > (self.champion[0].fitness or -np.inf):
+            self.champion = (individual, policy)
+        row = individual.record() | {"event": event, "generation_now": generation, "env_steps": self.env_steps}
+        row |= {"return": total, "best": self.champion[0].fitness}
+        self.rows.append(row)
+        if self.run:
+            self.run.append(row)
+            self.run.save(f"policy-{individual.index:04}", policy)
+
+    def _state(self) -> dict[str, Any]:
+        """Returns what a killed run goes on from; policies are in files of their own."""
+        champion = None
+        if self.champion:
+            champion = {"individual": self.champion[0].record(), "policy": self.champion[1]}
+        return {
+            "search": self.search.state_dict(),
+            "env_steps": self.env_steps,
+            "phase": self.phase,
+            "rows": len(self.rows),
+            "policies": self.policies,
+            "champion": champion,
+        }
+
+    def _load(self, state: Mapping[str, Any]) -> None:
+        assert self.run is not None
+        self.search.load_state_dict(state["search"])
+        self.env_steps, self.phase = state["env_steps"], state["phase"]
+        self.run.keep_rows(state["rows"])
+        self.rows = self.run.rows()
+        self.policies = dict(state["policies"])
+        if state["champion"]:
+            individual = Individual.from_record(state["champion"]["individual"])
+            self.champion = (individual, state["champion"]["policy"])
+
+
+def codesign(
+    config: CodesignConfig,
+    *,
+    run: RunFolder | None = None,
+    progress: Callable[[CodesignProgress], None] | None = None,
+    should_stop: Callable[[], bool] | None = None,
+) -> CodesignResult:
+    """Runs co-design to the end of its budget, and returns the best design with its controller.
+
+    The same settings and seed give the same result, whether or not the run was stopped and resumed in between.
+
+    Args:
+        config: settings of the run.
+        run: where to keep the table, controllers and checkpoints. A folder opened to resume is gone on with.
+        progress: called after every update of a policy and every round of a search.
+        should_stop: asked as often; by default Ctrl-C stops the run after the present update.
+    """
+    state = Codesign(config, run)
+    with stop_on_interrupt() if should_stop is None else nullcontext(should_stop) as is_stopped:
+        while not state.is_finished and not is_stopped():
+            if not state.advance(progress, is_stopped):
+                break
+    best, policy = state.champion or (None, None)
+    return CodesignResult(best, policy, state.rows, state.env_steps, state.is_finished)

@@ -1,0 +1,202 @@
+"""EvoGym's genetic algorithm over bodies (Bhatia et al., 2021), random search, and budgets by successive halving."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import ceil, isfinite
+
+from evogymcm.algos.design_search import Design, DesignSearch, Individual, check_mutation, mutate_design
+
+__all__ = [
+    "Design",
+    "DesignSearch",
+    "GeneticAlgorithm",
+    "HalvingSchedule",
+    "Individual",
+    "RandomSearch",
+    "survivor_count",
+]
+
+
+def survivor_count(population: int, budget: int, n_designs: int) -> int:
+    """Returns how many of a generation survive: max(2, ceil(P 0.6 (M - n - 1) / (M - 1))), at most all of them.
+
+    Args:
+        population: P, the size of a generation.
+        budget: M, the bodies proposed in all.
+        n_designs: n, the bodies proposed so far, this generation included.
+    """
+    # In integers: rounding errors of 0.6 must not add a survivor. -(-a // b) is the ceiling of a / b.
+    share = -(-3 * population * (budget - n_designs - 1) // (5 * max(budget - 1, 1)))
+    return min(max(2, share), population)
+
+
+class GeneticAlgorithm(DesignSearch):
+    """The genetic algorithm of EvoGym and of EvoGymCM's reference code: mutation and truncation, no crossover.
+
+    The first generation is random. Of each generation the best survive, fewer as the budget runs out. They keep their
+    fitness and are never asked for again; mutants of survivors, drawn uniformly, fill the population up.
+
+    Where designs carry stiffness, they start with 1 everywhere; a child inherits its parent's where a cell kept its
+    type. (The reference code's children also keep the stiffness of some cells that changed their type: those changed in
+    an attempt at mutation that gave no valid body.)
+
+    With `age_protection` A, floor(k / 2) of the k survivors' places are for bodies in their first A generations, as far
+    as there are such: the best of these take them, and the best of all others the rest. New bodies then compete with
+    each other first, and have some generations of fine-tuning to catch up with old ones. The best body always survives.
+    A = 0 selects by fitness alone.
+
+    Args:
+        shape: rows and columns of the bodies.
+        population: P, individuals in a generation.
+        budget: M, bodies proposed in all.
+        seed: of all random draws.
+        mutation_rate: probability that a cell is drawn anew, see `mutate_body`.
+        attempts: at a valid mutant, before another parent is drawn.
+        carries_stiffness: whether stiffness belongs to the design (the invariant setting).
+        age_protection: A, in generations.
+
+    Attributes:
+        n_survivors: how many of the present population survive, or have just survived.
+
+    Raises:
+        ValueError: The population is larger than the budget, or too small for children; a rate is not a probability, or
+            a count is out of range.
+    """
+
+    def __init__(
+        self,
+        shape: tuple[int, int],
+        population: int,
+        budget: int,
+        *,
+        seed: int,
+        mutation_rate: float = 0.1,
+        attempts: int = 50,
+        carries_stiffness: bool = False,
+        age_protection: int = 0,
+    ) -> None:
+        if not 1 <= population <= budget:
+            raise ValueError(f"population: got {population}, expected 1 to {budget} (the budget of bodies)")
+        if 3 > population < budget:
+            raise ValueError(f"population: got {population}, expected at least 3, since 2 survive")
+        if age_protection < 0:
+            raise ValueError(f"age_protection: got {age_protection}, expected at least 0 generations")
+        check_mutation(mutation_rate, attempts)
+        settings = {
+            "population": population,
+            "mutation_rate": mutation_rate,
+            "attempts": attempts,
+            "age_protection": age_protection,
+        }
+        super().__init__(shape, budget, seed=seed, carries_stiffness=carries_stiffness, settings=settings)
+        self.population_size, self.mutation_rate, self.attempts = population, mutation_rate, attempts
+        self.age_protection = age_protection
+
+    @property
+    def n_survivors(self) -> int:
+        """How many of the present population survive, known before its fitness."""
+        return survivor_count(self.population_size, self.budget, self.n_designs)
+
+    def _propose(self) -> None:
+        if not self._population:
+            self._fill(self.population_size, self._random)
+            return
+        parents = self._population = self.survivors
+        self._fill(self.population_size - len(parents), lambda: self._child(parents))
+
+    def _child(self, parents: list[Individual]) -> tuple[Design | None, int]:
+        """A mutant of one of the parents, for `_fill`."""
+        parent = parents[self._rng.integers(len(parents))]
+        return mutate_design(parent.design, self._rng, self.mutation_rate, self.attempts), parent.index
+
+    def _select(self) -> list[Individual]:
+        count = self.n_survivors
+        newest = self.generation - self.age_protection
+        young = [item for item in self._population if item.generation > newest][: count // 2]
+        protected = {item.index for item in young}
+        others = [item for item in self._population if item.index not in protected]
+        return young + others[: count - len(young)]
+
+
+class RandomSearch(DesignSearch):
+    """Random bodies, each trained once: the floor that every other method has to beat.
+
+    The population is all bodies so far; none survives in the sense of being worked on further.
+
+    Args:
+        shape: rows and columns of the bodies.
+        budget: bodies proposed in all.
+        batch: bodies proposed at a time.
+        seed: of all random draws.
+
+    Raises:
+        ValueError: A count is below 1.
+    """
+
+    def __init__(self, shape: tuple[int, int], budget: int, batch: int, seed: int) -> None:
+        if batch < 1:
+            raise ValueError(f"batch: got {batch}, expected at least 1 body")
+        super().__init__(shape, budget, seed=seed, carries_stiffness=False, settings={"batch": batch})
+        self.batch = batch
+
+    def _propose(self) -> None:
+        self._fill(self.batch, self._random)
+
+    def _select(self) -> list[Individual]:
+        return []
+
+
+@dataclass(frozen=True)
+class HalvingSchedule:
+    """Successive halving (Jamieson and Talwalkar, 2016): all bodies train a little, the better ones go on.
+
+    Attributes:
+        rungs: shares of the full budget of training after which bodies are compared, rising, each between 0 and 1.
+        keep: share of the bodies compared at each rung that go on, each above 0 and at most 1.
+
+    Raises:
+        ValueError: The rungs do not rise within 0 to 1, or there is not one share in (0, 1] for each.
+    """
+
+    rungs: tuple[float, ...] = (0.25, 0.5)
+    keep: tuple[float, ...] = (0.5, 0.5)
+
+    def __post_init__(self) -> None:
+        bounds = (0.0, *self.rungs, 1.0)
+        if not all(low < high for low, high in zip(bounds, bounds[1:], strict=False)):
+            raise ValueError(f"rungs: got {self.rungs}, expected rising shares of the budget, above 0 and below 1")
+        if len(self.keep) != len(self.rungs) or not all(0.0 < share <= 1.0 for share in self.keep):
+            raise ValueError(f"keep: got {self.keep}, expected {len(self.rungs)} shares, above 0 and at most 1")
+
+    def count(self, rung: int, n_bodies: int, at_least: int = 1) -> int:
+        """Returns how many of `n_bodies` go on after a rung: the share kept, rounded up, never below `at_least`."""
+        # Rounded before the ceiling: 0.07 * 100 is above 7 in floats.
+        return min(max(at_least, ceil(round(self.keep[rung] * n_bodies, 9))), n_bodies)
+
+    def promote(self, fitness: Mapping[int, float], rung: int, at_least: int = 1) -> list[int]:
+        """Returns the indices of the bodies that go on, best first; of equals, those that come first in `fitness`.
+
+        Args:
+            fitness: of the bodies that reached the rung, by index.
+            rung: which one, counted from 0.
+            at_least: fewest that go on: as many as selection needs beyond bodies that were trained before.
+
+        Raises:
+            ValueError: There is no such rung, `at_least` is below 1, or a fitness is not finite.
+        """
+        if not 0 <= rung < len(self.rungs):
+            raise ValueError(f"rung: got {rung}, expected 0 to {len(self.rungs) - 1}")
+        if at_least < 1:
+            raise ValueError(f"at_least: got {at_least}, expected at least 1")
+        if not all(isfinite(value) for value in fitness.values()):
+            raise ValueError(f"fitness: got {dict(fitness)}, all must be finite")
+        ranked = sorted(fitness, key=lambda index: -fitness[index])
+        return ranked[: self.count(rung, len(ranked), at_least)]
+
+    def cost(self, n_bodies: int, at_least: int = 1) -> float:
+        """Returns the training of `n_bodies` in full budgets: `n_bodies` without halving."""
+        total, reached = 0.0, 0.0
+        for rung, share in enumerate(self.rungs):
+            total += n_bodies * (share - reached)
+            n_bodies, reached = self.count(rung, n_bodies, at_least), share
+        return total + n_bodies * (1.0 - reached)

@@ -1,0 +1,191 @@
+"""What co-design asks of the inner loop: training a generation's designs together, and scoring each by itself.
+
+A policy is a mapping as `train` saves it, of one design: its form, and the weights of actor and critic.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import torch
+from tensordict import TensorDictBase
+from tensordict.nn import TensorDictModuleBase
+from torchrl.envs import EnvBase
+
+from evogymcm.algos.actor import Actor, load_actor
+from evogymcm.algos.design_search import Design
+from evogymcm.algos.evaluate import Evaluation, evaluate
+from evogymcm.algos.ppo import PPOConfig
+from evogymcm.algos.runs import RunFolder
+from evogymcm.algos.sharing import PerDesign, stack_states, take_state
+from evogymcm.algos.training import Progress, TrainResult, limited_threads, train
+from evogymcm.envs import PopulationEnv
+
+__all__ = ["Arena", "Policy", "Trained", "score_alone", "score_together", "train_designs"]
+
+Policy = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Arena:
+    """Where designs are trained and scored.
+
+    Attributes:
+        task: id of the task.
+        material: "reactive" or "invariant".
+        edge_rule: how stiffness acts on shared edges.
+        num_threads: of the simulator.
+    """
+
+    task: str
+    material: str
+    edge_rule: str = "mean_factor"
+    num_threads: int | None = 1
+
+    def make(self, designs: Sequence[Design], copies: int = 1, seed: int = 0) -> EnvBase:
+        """Returns the worlds of a population: `copies` of each design, world w holding design w % D."""
+        fields = None if self.material == "reactive" else [design.field for design in designs]
+        population = PopulationEnv(
+            self.task,
+            [design.body for design in designs],
+            copies,
+            material=self.material,
+            stiffness=fields,
+            edge_rule=self.edge_rule,
+            seed=seed,
+            num_threads=self.num_threads,
+        )
+        return population.worlds
+
+
+@dataclass(frozen=True)
+class Trained:
+    """What came of training designs together.
+
+    Attributes:
+        best: each design's best policy.
+        last: each design's last policy.
+        scores: (D,) of the best policies, as they were in training.
+        env_steps: simulated, evaluations included.
+        finished: False if it was stopped.
+    """
+
+    best: list[Policy]
+    last: list[Policy]
+    scores: np.ndarray
+    env_steps: int
+    finished: bool
+
+
+def train_designs(
+    arena: Arena,
+    designs: Sequence[Design],
+    ppo: PPOConfig,
+    *,
+    run: RunFolder | None = None,
+    start_from: Sequence[Policy] | None = None,
+    progress: Callable[[Progress], None] | None = None,
+    should_stop: Callable[[], bool] | None = None,
+) -> Trained:
+    """Trains all designs at once in one population.
+
+    Args:
+        arena: where.
+        designs: D designs.
+        ppo: settings for one design: its env-steps, its worlds, and its share of a gradient step. With
+            `sharing="independent"` each has its own policy, with "shared" all have one.
+        run: where to keep what a stopped training goes on from.
+        start_from: a policy for each design to start from; None for fresh ones.
+        progress: see `train`.
+        should_stop: see `train`.
+    """
+    n = len(designs)
+    config = replace(ppo, total_steps=n * ppo.total_steps, num_worlds=n * ppo.num_worlds, eval_worlds=n)
+    config = replace(config, eval_interval=n * ppo.eval_interval)
+    if ppo.sharing == "shared":
+        config = replace(config, minibatch=n * ppo.minibatch)
+
+    def make_env(*, num_worlds: int, seed: int) -> EnvBase:
+        return arena.make(designs, num_worlds // n, seed)
+
+    start = None if start_from is None else _together(start_from, ppo.sharing)
+    result = train(make_env, config, run=run, progress=progress, should_stop=should_stop, start_from=start)
+    return _apart(result, n)
+
+
+def _together(policies: Sequence[Policy], sharing: str) -> Policy:
+    """Returns policies as one that a run can start from; a shared one starts from the first."""
+    first = policies[0]
+    if sharing == "shared":
+        return first
+    stacked = {name: stack_states([policy[name] for policy in policies]) for name in ("actor", "critic")}
+    return {"form": first["form"] | {"copies": len(policies)}, **stacked}
+
+
+def _apart(result: TrainResult, n: int) -> Trained:
+    """Returns a run's policies design by design."""
+
+    def split(policy: Mapping[str, Any]) -> list[Policy]:
+        if policy["form"]["copies"] is None:
+            return [{name: policy[name] for name in ("form", "actor", "critic")}] * n
+        form = policy["form"] | {"copies": None}
+        parts = ("actor", "critic")
+        return [{"form": form} | {name: take_state(policy[name], i) for name in parts} for i in range(n)]
+
+    scores = result.best["score"].numpy().astype(np.float64)
+    env_steps = result.env_steps + result.eval_steps
+    return Trained(split(result.best), split(result.policy), scores, env_steps, result.finished)
+
+
+class _OneByOne(TensorDictModuleBase):
+    """Policies of single worlds, each asked by itself: its action does not depend on who stands beside it.
+
+    A batched matrix product may round a row differently with the number of rows, and contact makes much of little.
+    """
+
+    def __init__(self, actors: Sequence[Actor]) -> None:
+        super().__init__()
+        self.actors = list(actors)
+        self.in_keys, self.out_keys = actors[0].in_keys, actors[0].out_keys
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Writes the actions into `tensordict` (N,) and returns it."""
+        rows = tensordict.select(*self.in_keys)
+        out = [actor(rows[i : i + 1]) for i, actor in enumerate(self.actors)]
+        for key in self.out_keys:
+            tensordict.set(key, torch.cat([row.get(key) for row in out]))
+        return tensordict
+
+
+def _actors(policies: Sequence[Policy], columns: int) -> list[Actor]:
+    actors = [load_actor(policy) for policy in policies]
+    for actor in actors:
+        actor.columns = columns
+    return actors
+
+
+def score_alone(arena: Arena, designs: Sequence[Design], policies: Sequence[Policy], seed: int = 0) -> Evaluation:
+    """Scores each design under its policy, exactly as if it were alone: always the same to the last bit."""
+    env = arena.make(designs, 1, seed)
+    with limited_threads(1):
+        return evaluate(_OneByOne(_actors(policies, env.grid_shape[1])), env)
+
+
+def score_together(
+    arena: Arena, designs: Sequence[Design], policies: Sequence[Policy], copies: int, seed: int = 0
+) -> Evaluation:
+    """Scores `copies` designs under each policy in one batch: fast, and the same as `score_alone` but for rounding.
+
+    Args:
+        arena: where.
+        designs: `copies` of each policy; design i is under policy i % P.
+        policies: P policies.
+        copies: designs of each policy.
+        seed: of tasks with random resets.
+    """
+    env = arena.make(designs, 1, seed)
+    actor = load_actor(_together(policies, "independent"))
+    actor.columns = env.grid_shape[1]
+    with limited_threads(1):
+        return evaluate(PerDesign(actor, len(policies)), env)

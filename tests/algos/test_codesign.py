@@ -1,0 +1,221 @@
+"""Co-design: bookkeeping of its phases, exact scores, budgets, and resuming to the same result."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+import evogymcm as cm
+from evogymcm.algos import PPOConfig, RunFolder
+from evogymcm.algos.codesign import CodesignConfig, SearchConfig, codesign
+from evogymcm.algos.design_search import Design
+from evogymcm.algos.generation import Arena, score_alone, score_together, train_designs
+from evogymcm.envs import Task
+
+PPO = PPOConfig(
+    total_steps=256, num_worlds=8, rollout_steps=16, epochs=2, minibatch=32, hidden=8, eval_interval=128,
+    sharing="independent",
+)  # fmt: skip
+TINY = CodesignConfig(
+    task="Dash-v0", shape=(2, 3), population=3, budget=6, ppo=PPO, search=SearchConfig(rounds=3), finetune_steps=128
+)
+ARMS = ("reactive", "fixed", "invariant", "prescribed")
+
+
+@dataclass(frozen=True)
+class Dash(Task):
+    """Get far in a short time."""
+
+    def reward(self, before, after):
+        return after.x - before.x
+
+
+if "Dash-v0" not in cm.tasks:
+    observes = ("velocity", "orientation", "relative")
+    cm.register_task(Dash("Dash-v0", world="Walker-v0", spawn=(1, 1), time_limit=20, observes=observes))
+
+
+def told(result):
+    """What a run is judged by, without the weights."""
+    return result.rows, result.env_steps, result.best.record()
+
+
+@pytest.mark.parametrize("arm", ARMS)
+def test_a_run_from_end_to_end(arm, tmp_path):
+    config = replace(TINY, arm=arm, prescribed=1.5)
+    seen = []
+    run = RunFolder(tmp_path / "run", asdict(config))
+    result = codesign(config, run=run, progress=seen.append)
+    assert result.finished
+    rows = run.rows()
+    trained = [row["index"] for row in rows if row["event"] == "train"]
+    assert trained == list(range(6))  # every body once
+    phases = {row["event"] for row in rows}
+    assert phases == ({"train", "search", "finetune"} if arm == "invariant" else {"train"})
+    steps = [row["env_steps"] for row in rows]
+    assert steps == sorted(steps)
+    assert result.env_steps == steps[-1] > 6 * 256
+    best = [row["best"] for row in rows]
+    assert best == sorted(best)
+    assert result.best.fitness == best[-1] == max(row["fitness"] for row in rows)
+    assert {progress.phase for progress in seen} == phases
+    assert all((run.path / f"policy-{index:04}.pt").is_file() for index in trained)
+    assert result.policy["form"]["ranges"].keys() == {"actuation"} | ({"stiffness"} if arm == "reactive" else set())
+
+
+@pytest.mark.parametrize("arm", ["reactive", "invariant"])
+def test_fitness_can_be_had_again_to_the_last_bit(arm, tmp_path):
+    config = replace(TINY, arm=arm)
+    run = RunFolder(tmp_path / "run", asdict(config))
+    codesign(config, run=run)
+    last = {row["index"]: row for row in run.rows()}
+    designs = [Design.from_record(row) for row in last.values()]
+    policies = [run.load(f"policy-{index:04}") for index in last]
+    scores = score_alone(config.make_arena(), designs, policies).score
+    assert scores.tolist() == [row["fitness"] for row in last.values()]
+    alone = score_alone(config.make_arena(), designs[-1:], policies[-1:]).score
+    assert alone[0] == scores[-1]
+
+
+def test_fitness_of_survivors_never_falls():
+    result = codesign(replace(TINY, arm="invariant", search=SearchConfig(rounds=6, acceptance="paper")))
+    best = {}
+    for row in result.rows:
+        assert row["fitness"] >= best.get(row["index"], -np.inf)
+        best[row["index"]] = row["fitness"]
+    fields = [row["stiffness"] for row in result.rows if row["event"] == "search"]
+    assert any(field is not None and np.ptp(np.array(field)) > 0 for field in fields)  # something was found
+
+
+def test_prescribed_stiffness_is_simulated():
+    arms = [codesign(replace(TINY, arm="prescribed", prescribed=value, budget=3)) for value in (0.5, 1.0, 2.0)]
+    fixed = codesign(replace(TINY, arm="fixed", budget=3))
+    scores = [[row["fitness"] for row in result.rows] for result in arms]
+    assert scores[1] == [row["fitness"] for row in fixed.rows]
+    assert scores[0] != scores[1] != scores[2]
+
+
+def test_scores_together_are_those_alone_but_for_rounding():
+    arena = Arena("Dash-v0", "invariant")
+    rng = np.random.default_rng(0)
+    designs = [Design(cm.sample_body((2, 3), rng)) for _ in range(3)]
+    trained = train_designs(arena, designs, PPO)
+    fields = [Design(d.body, rng.uniform(0.5, 2.0, (2, 3))) for _ in range(2) for d in designs]
+    together = score_together(arena, fields, trained.best, 2).score
+    alone = score_alone(arena, fields, trained.best * 2).score
+    np.testing.assert_allclose(together, alone, rtol=0, atol=1e-6)
+
+
+def test_inheritance_starts_from_the_parents_controller(tmp_path):
+    config = replace(TINY, inherit=True, ppo=replace(PPO, learning_rate=1e-12))
+    result = codesign(config, run=RunFolder(tmp_path / "run", {}))
+    run = RunFolder(tmp_path / "run", {}, resume=True)
+    children = [row for row in result.rows if row["parent"] is not None]
+    assert children
+    for row in children:  # with hardly any learning, a child's weights are its parent's
+        own, parent = (run.load(f"policy-{row[key]:04}")["actor"] for key in ("index", "parent"))
+        torch.testing.assert_close(own["local.weight"], parent["local.weight"], atol=1e-6, rtol=1e-6)
+
+
+def test_halving_saves_training():
+    whole, halved = codesign(TINY), codesign(replace(TINY, rungs=(0.5,), keep=(0.34,)))
+    assert halved.finished
+    assert halved.env_steps < whole.env_steps
+    assert len(halved.rows) == len(whole.rows) == 6
+
+
+@pytest.mark.parametrize("changes", [{"method": "random"}, {"ppo": replace(PPO, sharing="shared")}])
+def test_other_ways_to_search_and_to_share(changes):
+    result = codesign(replace(TINY, **changes))
+    assert result.finished
+    assert len({row["body"] for row in result.rows}) == 6
+
+
+def test_the_budget_of_env_steps_ends_a_run():
+    limit = 3000
+    result = codesign(replace(TINY, budget=30, max_env_steps=limit))
+    assert result.finished
+    before = [row["env_steps"] for row in result.rows if row["env_steps"] < limit]
+    assert result.env_steps >= limit
+    assert len(result.rows) < 30
+    assert result.rows[-1]["env_steps"] not in before  # it stopped with the phase that crossed the limit
+
+
+@pytest.mark.parametrize("arm", ["reactive", "invariant"])
+@pytest.mark.parametrize("calls", [1, 5, 9])
+def test_a_stopped_run_goes_on_to_the_same_result(arm, calls, tmp_path):
+    config = replace(TINY, arm=arm)
+    whole, asked = codesign(config), iter(range(10**6))
+    stopped = codesign(config, run=RunFolder(tmp_path / "run", {}), should_stop=lambda: next(asked) >= calls)
+    assert not stopped.finished
+    again = codesign(config, run=RunFolder(tmp_path / "run", {}, resume=True))
+    assert told(again) == told(whole)
+    assert again.rows == RunFolder(tmp_path / "run", {}, resume=True).rows()
+    for key, values in whole.policy["actor"].items():
+        assert torch.equal(values, again.policy["actor"][key])
+
+
+def test_bad_settings_are_refused():
+    for changes, message in (
+        ({"arm": "active"}, "arm: got 'active', allowed are"),
+        ({"method": "bo"}, "method: got 'bo'"),
+        ({"prescribed": 3.0}, "prescribed: got 3.0"),
+        ({"population": 9}, "population: got 9"),
+        ({"rungs": (0.5,), "keep": ()}, "keep: got"),
+        ({"ppo": PPOConfig(network="mlp")}, "ppo.network: got 'mlp'"),
+        ({"max_env_steps": 0}, "max_env_steps: got 0"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            replace(TINY, **changes)
+
+
+_CHILD = """
+import sys
+from dataclasses import asdict, replace
+from pathlib import Path
+sys.path.insert(0, {root!r})
+from evogymcm.algos import RunFolder
+from evogymcm.algos.codesign import codesign
+from tests.algos.test_codesign import TINY
+config = replace(TINY, arm="invariant")
+codesign(config, run=RunFolder(Path(sys.argv[1]), asdict(config), resume=True))
+"""
+
+
+@pytest.mark.slow
+def test_killed_at_random_moments_a_run_ends_the_same(tmp_path):
+    root = str(Path(__file__).parents[2])
+    command = [sys.executable, "-c", _CHILD.format(root=root), str(tmp_path / "killed")]
+    config = replace(TINY, arm="invariant")
+    whole = codesign(config, run=RunFolder(tmp_path / "whole", asdict(config)))
+    rng, kills = np.random.default_rng(0), 0
+    while kills < 10:
+        process = subprocess.Popen(command)
+        marks = [path.stat().st_mtime_ns for path in (tmp_path / "killed").rglob("*") if path.exists()]
+        start = time.monotonic()
+        while time.monotonic() - start < 60:  # until it works, then a random moment more
+            paths = list((tmp_path / "killed").rglob("*"))
+            if process.poll() is not None or len(paths) > len(marks):
+                break
+            time.sleep(0.01)
+        time.sleep(float(rng.uniform(0, 1.0)))
+        if process.poll() is not None:
+            break  # it has come to its end
+        os.kill(process.pid, signal.SIGKILL)
+        process.wait()
+        kills += 1
+    assert kills >= 3
+    subprocess.run(command, check=True)
+    killed = RunFolder(tmp_path / "killed", asdict(config), resume=True)
+    assert killed.rows() == json.loads(json.dumps(whole.rows))
+    index = whole.best.index
+    ours, theirs = (torch.load(tmp_path / name / f"policy-{index:04}.pt") for name in ("whole", "killed"))
+    assert all(torch.equal(ours["actor"][key], theirs["actor"][key]) for key in ours["actor"])
