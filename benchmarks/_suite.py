@@ -51,6 +51,11 @@ class Suite:
         if not (self.tasks and self.arms and self.seeds):
             raise ValueError("tasks, arms and seeds must not be empty")
 
+    @property
+    def steps_per_run(self) -> int:
+        """Env-steps of each run, in whole rollouts."""
+        return -(-self.ppo.total_steps // self.ppo.frames_per_update) * self.ppo.frames_per_update
+
     def jobs(self) -> list["Job"]:
         """Returns all runs, seed by seed, so that an early stop leaves whole comparisons."""
         return [
@@ -65,6 +70,7 @@ PRESETS: Mapping[str, Suite] = {
     "quick": Suite(("Walker-v0",), tuple(ARMS), (0,), PPOConfig(total_steps=500_000)),
     "walker": Suite(("Walker-v0",), ("co-optimisation",), (0, 1, 2), PPOConfig(total_steps=600_000)),
     "standard": Suite(tuple(PAPER), tuple(ARMS), (0,), PPOConfig(total_steps=500_000)),
+    "table": Suite(tuple(PAPER), tuple(ARMS), (0, 1, 2), PPOConfig(total_steps=500_000)),
     "paper": Suite(tuple(PAPER), tuple(ARMS), (0, 1, 2), PPOConfig(total_steps=1_000_000)),
 }
 
@@ -90,9 +96,20 @@ class Job:
         return functools.partial(SoftRobotEnv, self.task, bodies=robot, material=ARMS[self.arm], num_threads=1)
 
     def run(
-        self, folder: Path, resume: bool, progress: Callable[[Progress], None], should_stop: Callable[[], bool]
+        self, folder: Path, resume: bool, tell: Callable[[int, float | None], None], should_stop: Callable[[], bool]
     ) -> dict[str, Any]:
-        """Trains in `folder / name` and returns all numbers of the run."""
+        """Trains in `folder / name` and returns all numbers of the run.
+
+        Args:
+            folder: of the suite.
+            resume: go on with what is there.
+            tell: called with the env-steps done and the latest score, None where there is no new one.
+            should_stop: asked after every update.
+        """
+
+        def progress(state: Progress) -> None:
+            tell(state.env_steps, state.row.get("score"))
+
         run = RunFolder(folder / self.name, asdict(self), resume=resume)
         result = train(self.make_env(), self.ppo, run=run, progress=progress, should_stop=should_stop)
         record: dict[str, Any] = {

@@ -1,7 +1,7 @@
-"""Writes the README's table of tasks from the registry.
+"""Writes the table of tasks in README.md and docs/tasks.md from the registry.
 
     python docs/task_table.py            # prints the table
-    python docs/task_table.py --write    # puts it into README.md
+    python docs/task_table.py --write    # puts it into both files
 
 What the tasks ask for is written here; episode lengths and ceilings are read off the tasks.
 """
@@ -14,7 +14,7 @@ import numpy as np
 import evogymcm as cm
 from evogymcm.envs import TaskEngine
 
-README = Path(__file__).resolve().parents[1] / "README.md"
+FILES = (Path(__file__).resolve().parents[1] / "README.md", Path(__file__).resolve().parent / "tasks.md")
 BEGIN, END = "<!-- tasks: written by docs/task_table.py -->\n", "<!-- end of tasks -->\n"
 BODY = "HHHHH/HHHHH/HH.HH/VV.VV/VV.VV"
 WHAT = {
@@ -72,14 +72,15 @@ def table() -> str:
 
 
 def main() -> None:
-    """Prints the table, or writes it into the README."""
+    """Prints the table, or writes it into its files."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--write", action="store_true", help="put it into README.md")
+    parser.add_argument("--write", action="store_true", help="put it into README.md and docs/tasks.md")
     if not parser.parse_args().write:
         print(table(), end="")
         return
-    before, rest = README.read_text(encoding="utf-8").split(BEGIN)
-    README.write_text(before + BEGIN + "\n" + table() + "\n" + END + rest.split(END)[1], encoding="utf-8")
+    for path in FILES:
+        before, rest = path.read_text(encoding="utf-8").split(BEGIN)
+        path.write_text(before + BEGIN + "\n" + table() + "\n" + END + rest.split(END)[1], encoding="utf-8")
 
 
 if __name__ == "__main__":

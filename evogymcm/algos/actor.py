@@ -42,6 +42,8 @@ class Actor(TensorDictModuleBase):
 
     dist_sample_keys = ["action"]  # noqa: RUF012  (names that TorchRL's losses look up)
     log_prob_keys = ["action_log_prob"]  # noqa: RUF012
+    noise_correlation: float  # of exploration, from one env-step to the next; 0 for white noise
+    noise: Tensor | None  # the last step's
     form: dict[str, Any]  # arguments that make another of the same form, with the name of the network
 
     def __init__(
@@ -53,6 +55,7 @@ class Actor(TensorDictModuleBase):
         self.ranges, self.copies = dict(ranges), copies
         self.in_keys = list(dict.fromkeys([*in_keys, *(_HEADS[name][0] for name in ranges)]))
         self.out_keys = [*(("action", name) for name in ranges), "action_log_prob"]
+        self.noise_correlation, self.noise = 0.0, None
         lead = () if copies is None else (copies,)
         self.log_std = nn.Parameter(torch.full((*lead, len(ranges)), math.log(initial_std)))
 
@@ -88,10 +91,23 @@ class Actor(TensorDictModuleBase):
         """Writes `action` and `action_log_prob` into `tensordict` and returns it."""
         dist = self.get_dist(tensordict)
         is_random = exploration_type() in (None, ExplorationType.RANDOM)
-        action = dist.sample() if is_random else dist.mode
+        action = dist.with_noise(self._draw(dist)) if is_random else dist.mode
         tensordict.set("action", action)
         tensordict.set("action_log_prob", dist.log_prob(action))
         return tensordict
+
+    def _draw(self, dist: VoxelActions) -> Tensor:
+        """Returns standard normal noise (..., V, heads), correlated with that of the step before."""
+        loc = next(iter(dist.heads.values())).loc
+        fresh = torch.randn(*loc.shape, len(self.ranges), dtype=loc.dtype, device=loc.device)
+        if not self.noise_correlation:
+            return fresh
+        if self.noise is None or self.noise.shape != fresh.shape:
+            self.noise = fresh
+        else:
+            kept = self.noise_correlation
+            self.noise = kept * self.noise + math.sqrt(1 - kept**2) * fresh
+        return self.noise
 
     @torch.no_grad()
     def limit_std(self, limit: float) -> None:

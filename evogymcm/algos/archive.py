@@ -8,14 +8,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from evogymcm.algos.design_search import Design, DesignSearch, Individual, check_mutation, mutate_design
-from evogymcm.algos.material_search import perturb_stiffness
+from evogymcm.algos.design_search import DesignSearch
+from evogymcm.algos.designs import Design, Individual, check_mutation, mutate_design
+from evogymcm.algos.stiffness_proposals import perturb_stiffness
 from evogymcm.body import STIFFNESS_HIGH, STIFFNESS_LOW
 
-__all__ = ["MapElites", "measures"]
+__all__ = ["MapElites", "design_measures"]
 
 
-def measures(design: Design) -> tuple[float, float]:
+def design_measures(design: Design) -> tuple[float, float]:
     """Returns what tells designs apart here: actuators per voxel, in [0, 1], and mean stiffness of the voxels."""
     body = design.body
     return body.n_actuators / body.n_voxels, float(design.field[body.occupancy].mean())
@@ -24,10 +25,10 @@ def measures(design: Design) -> tuple[float, float]:
 class MapElites(DesignSearch):
     """Keeps the best design of each kind, and proposes mutants of them.
 
-    A kind is a cell of a grid over `measures`. The first designs are random; later ones are mutants of elites drawn
-    uniformly. Where designs carry stiffness, a random one has a uniform field, log-uniform in [0.5, 2], and a mutant's
-    inherited field gets noise too, since mean stiffness would hardly vary otherwise; where they do not, it is 1, and
-    the grid should have one column.
+    A kind is a cell of a grid over `design_measures`. The first designs are random; later ones are mutants of elites
+    drawn uniformly. Where designs carry stiffness, a random one has the same value on all voxels, log-uniform in
+    [0.5, 2], and a mutant's inherited field gets noise too, since mean stiffness would hardly vary otherwise; where
+    they do not, it is 1, and the grid should have one column.
 
     The population is all designs so far, the survivors are those elites that were told last: each is worked on further
     (`update`) once, when it is new.
@@ -101,7 +102,7 @@ class MapElites(DesignSearch):
         return [individual for individual in self.population if individual.index in indices]
 
     def update(self, index: int, *, stiffness: ArrayLike | None = None, fitness: float | None = None) -> None:
-        """Replaces a survivor's stiffness, fitness or both, see `DesignSearch.update`; it may become of another kind."""
+        """Replaces a survivor's stiffness, fitness or both, see `DesignSearch.update`; its kind may change by it."""
         super().update(index, stiffness=stiffness, fitness=fitness)
         self._fill_archive()
 
@@ -145,5 +146,5 @@ class MapElites(DesignSearch):
             self.archive.add(
                 np.array([[individual.index] for individual in told]),
                 np.array([individual.fitness for individual in told]),
-                np.array([measures(individual.design) for individual in told]),
+                np.array([design_measures(individual.design) for individual in told]),
             )

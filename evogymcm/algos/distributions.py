@@ -45,14 +45,17 @@ class MaskedSquashedNormal(Distribution):
         self.low, self.high = low, high
         self.mid, self.half = (low + high) / 2, (high - low) / 2
 
+    def with_noise(self, noise: Tensor) -> Tensor:
+        """Returns the action that standard normal `noise` (..., V) gives."""
+        return self._squash(self.loc + self.scale * noise)
+
     def _squash(self, u: Tensor) -> Tensor:
         return torch.where(self.mask, self.mid + self.half * torch.tanh(u), IDLE)
 
     def rsample(self, sample_shape: Shape = _ONE) -> Tensor:
         """Returns a differentiable draw, (*sample_shape, ..., V)."""
         shape = torch.Size(sample_shape) + self.loc.shape
-        noise = torch.randn(shape, dtype=self.loc.dtype, device=self.loc.device)
-        return self._squash(self.loc + self.scale * noise)
+        return self.with_noise(torch.randn(shape, dtype=self.loc.dtype, device=self.loc.device))
 
     def log_prob(self, value: Tensor) -> Tensor:
         """Returns the log-density of `value` (..., V), summed over the driven voxels: (...)."""
@@ -101,6 +104,12 @@ class VoxelActions(Distribution):
         with torch.no_grad():
             draws = {name: head.rsample(sample_shape) for name, head in self.heads.items()}
         return TensorDict(draws, batch_size=torch.Size(sample_shape) + self.batch_shape)
+
+    def with_noise(self, noise: Tensor) -> TensorDict:
+        """Returns, without gradients, the action that standard normal `noise` (..., V, heads) gives."""
+        with torch.no_grad():
+            draws = {name: head.with_noise(noise[..., i]) for i, (name, head) in enumerate(self.heads.items())}
+        return TensorDict(draws, batch_size=self.batch_shape)
 
     def log_prob(self, value: TensorDict) -> Tensor:
         """Returns the joint log-density of an action: (...)."""

@@ -2,9 +2,11 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import pairwise
 from math import ceil, isfinite
 
-from evogymcm.algos.design_search import Design, DesignSearch, Individual, check_mutation, mutate_design
+from evogymcm.algos.design_search import DesignSearch
+from evogymcm.algos.designs import Design, Individual, check_mutation, mutate_design
 
 __all__ = [
     "Design",
@@ -101,7 +103,8 @@ class GeneticAlgorithm(DesignSearch):
         if not self._population:
             self._fill(self.population_size, self._random)
             return
-        parents = self._population = self.survivors
+        parents = self.survivors
+        self._population = list(parents)  # a copy: children join it, and must not become parents yet
         self._fill(self.population_size - len(parents), lambda: self._child(parents))
 
     def _child(self, parents: list[Individual]) -> tuple[Design | None, int]:
@@ -163,7 +166,7 @@ class HalvingSchedule:
 
     def __post_init__(self) -> None:
         bounds = (0.0, *self.rungs, 1.0)
-        if not all(low < high for low, high in zip(bounds, bounds[1:], strict=False)):
+        if not all(low < high for low, high in pairwise(bounds)):
             raise ValueError(f"rungs: got {self.rungs}, expected rising shares of the budget, above 0 and below 1")
         if len(self.keep) != len(self.rungs) or not all(0.0 < share <= 1.0 for share in self.keep):
             raise ValueError(f"keep: got {self.keep}, expected {len(self.rungs)} shares, above 0 and at most 1")

@@ -1,19 +1,18 @@
-"""Local search for the stiffness fields of given bodies under given policies (EvoGymCM), or CMA-ES (Hansen, 2016)."""
+"""Search for the stiffness fields of given bodies under given policies: EvoGymCM's local search, and CMA-ES."""
 
 from collections.abc import Mapping, Sequence
-from math import log
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from evogymcm.algos.design_search import Design, Individual, check_settings
-from evogymcm.body import STIFFNESS_HIGH, STIFFNESS_LOW
+from evogymcm.algos.design_search import check_settings
+from evogymcm.algos.designs import Design, Individual
+from evogymcm.algos.stiffness_proposals import CMA, NOISE, HillClimber, Proposer
 
-__all__ = ["ACCEPTANCE", "NOISE", "PROPOSALS", "MaterialSearch", "Materials", "perturb_stiffness"]
+__all__ = ["ACCEPTANCE", "PROPOSALS", "MaterialSearch", "Materials"]
 
 ACCEPTANCE = ("reference", "paper")
-NOISE = ("multiplicative", "additive")
 PROPOSALS = ("hill-climbing", "cma")
 _MARGIN = 0.02  # of the best score's size: the least gain that the reference code accepts
 
@@ -25,88 +24,6 @@ class Materials(NamedTuple):
 
     fields: Field
     scores: Field
-
-
-def perturb_stiffness(
-    design: Design,
-    rng: np.random.Generator,
-    probability: float = 0.15,
-    sigma: float = 0.2,
-    noise: str = "multiplicative",
-) -> Field:
-    """Returns a design's stiffness field with noise on some of its voxels: (rows, cols) in [0.5, 2], 1 on empty cells.
-
-    Args:
-        design: body and stiffness to start from.
-        rng: source of randomness.
-        probability: of a voxel to be changed, independently; if none is picked, one of them is, uniformly.
-        sigma: standard deviation of the normal noise.
-        noise: "multiplicative" (factors exp(noise), EvoGymCM's reference code) or "additive" (the EvoGymCM paper).
-            Either result is clipped.
-    """
-    voxels = design.field[design.body.occupancy]
-    is_picked = rng.random(len(voxels)) < probability
-    if not is_picked.any():
-        is_picked[rng.integers(len(voxels))] = True
-    errors = rng.normal(0.0, sigma, len(voxels))
-    moved = voxels * np.exp(errors) if noise == "multiplicative" else voxels + errors
-    return _on_body(design, np.where(is_picked, moved, voxels))
-
-
-def _on_body(design: Design, voxels: Field) -> Field:
-    """Returns the field (rows, cols) with these values, clipped, on the body's voxels, row-major."""
-    field = np.ones(design.body.shape)
-    field[design.body.occupancy] = np.clip(voxels, STIFFNESS_LOW, STIFFNESS_HIGH)
-    return field
-
-
-class _Proposer(Protocol):
-    """Proposes fields for one body."""
-
-    def ask(self, best: Design) -> list[Field]: ...
-
-    def tell(self, scores: Field) -> None: ...
-
-
-class _HillClimber:
-    """Perturbs the best field so far."""
-
-    def __init__(self, rng: np.random.Generator, candidates: int, probability: float, sigma: float, noise: str) -> None:
-        self.rng, self.candidates = rng, candidates
-        self.arguments = (probability, sigma, noise)
-
-    def ask(self, best: Design) -> list[Field]:
-        return [perturb_stiffness(best, self.rng, *self.arguments) for _ in range(self.candidates)]
-
-    def tell(self, scores: Field) -> None:
-        """Learns nothing: the best field says it all."""
-
-
-class _CMA:
-    """CMA-ES over the logarithms of the voxels' stiffness, begun at the given field."""
-
-    def __init__(self, start: Design, rng: np.random.Generator, candidates: int, sigma: float) -> None:
-        try:
-            import cma
-        except ImportError as error:
-            raise ImportError("proposal 'cma' needs the package cma: pip install evogymcm[cma]") from error
-        options = {
-            "bounds": [log(STIFFNESS_LOW), log(STIFFNESS_HIGH)],
-            "popsize": candidates,
-            "verbose": -9,
-            "seed": np.nan,  # leaves numpy's global generator alone, whose place `randn` takes
-            "randn": lambda *shape: rng.standard_normal(shape),
-        }
-        self.start = start
-        self.optimizer = cma.CMAEvolutionStrategy(np.log(start.field[start.body.occupancy]), sigma, options)
-        self.points: list[Field] = []
-
-    def ask(self, best: Design) -> list[Field]:
-        self.points = self.optimizer.ask()
-        return [_on_body(self.start, np.exp(point)) for point in self.points]
-
-    def tell(self, scores: Field) -> None:
-        self.optimizer.tell(self.points, (-scores).tolist())  # it minimises
 
 
 class MaterialSearch:
@@ -184,14 +101,14 @@ class MaterialSearch:
         self._told: list[list[float]] = []
         self._history = [self._scores.copy()]
         self._asked: list[list[Field]] = []
-        self._proposers: list[_Proposer] = []
+        self._proposers: list[Proposer] = []
         for individual in self.individuals:
             rng = np.random.default_rng(np.random.SeedSequence(options["seed"], spawn_key=(individual.index,)))
             if options["proposal"] == "cma":
-                self._proposers.append(_CMA(individual.design, rng, self.candidates, options["sigma"]))
+                self._proposers.append(CMA(individual.design, rng, self.candidates, options["sigma"]))
             else:
                 arguments = (options["probability"], options["sigma"], options["noise"])
-                self._proposers.append(_HillClimber(rng, self.candidates, *arguments))
+                self._proposers.append(HillClimber(rng, self.candidates, *arguments))
 
     @property
     def is_finished(self) -> bool:

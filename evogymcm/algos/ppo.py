@@ -26,6 +26,7 @@ _MAY_BE_ZERO = {
     "target_kl",
     "eval_interval",
     "seed",
+    "noise_correlation",
 }
 _LOGGED = {
     "loss_policy": "loss_objective",
@@ -65,6 +66,9 @@ class PPOConfig:
         final_std: the most exploration at the end; the limit falls geometrically from `initial_std`. A policy that has
             only ever acted with much noise may get stuck without it.
         schedule: which part of the schedules of learning rate and exploration the run covers: (0, 1) is all of it.
+        noise_correlation: of exploration noise, from one env-step to the next. Correlated noise (Hollenstein et al.,
+            2024) moves a body further than white noise, whose pushes cancel each other; each step's noise by itself
+            has the policy's distribution, which is all that the likelihood ratios look at.
         eval_interval: env-steps between evaluations; 0 for only the untrained and the final policy.
         eval_worlds: worlds in an evaluation; None for one of each design.
         seed: of weights, exploration and environments.
@@ -93,6 +97,7 @@ class PPOConfig:
     initial_std: float = 1.0
     final_std: float = 0.3
     schedule: tuple[float, float] = (0.0, 1.0)
+    noise_correlation: float = 0.0
     eval_interval: int = 50_000
     eval_worlds: int | None = None
     seed: int = 0
@@ -115,6 +120,8 @@ class PPOConfig:
                 raise ValueError(
                     f"{field.name}: got {value}, must {'not be negative' if may_be_zero else 'be positive'}"
                 )
+        if self.noise_correlation >= 1:
+            raise ValueError(f"noise_correlation: got {self.noise_correlation}, must be below 1")
         if self.gamma > 1 or self.gae_lambda > 1:
             raise ValueError(f"gamma, gae_lambda: got {self.gamma}, {self.gae_lambda}, must be at most 1")
 

@@ -156,6 +156,7 @@ class Trainer:
                 copies=copies,
             )
             self.critic = make_critic(env, config.hidden, network=config.network, copies=copies)
+            self.actor.noise_correlation = config.noise_correlation
             self.policy = self.actor if copies is None else PerDesign(self.actor, copies)
             self.learner = PPOLearner(self.actor, self.critic, config)
             self.collector = _WorldCollector(
@@ -261,6 +262,7 @@ class Trainer:
             "learner": self.learner.state_dict(),
             "worlds": self.collector.state_dict(),
             "rng": self._rng_state,
+            "noise": self.actor.noise,
             "env_steps": self.env_steps,
             "eval_steps": self.eval_steps,
             "seconds": self.seconds,
@@ -271,7 +273,7 @@ class Trainer:
         """Restores what `state_dict` returned."""
         self.learner.load_state_dict(state["learner"])
         self.collector.load_state_dict(state["worlds"])
-        self._rng_state = state["rng"]
+        self._rng_state, self.actor.noise = state["rng"], state["noise"]
         self.env_steps, self.eval_steps = state["env_steps"], state["eval_steps"]
         self.seconds, self.best = state["seconds"], state["best"]
 

@@ -1,0 +1,252 @@
+"""Experiments B and C of the EvoGymCM paper: co-design with and without material, at equal simulated env-steps."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from _suite import PAPER
+
+from evogymcm.algos import PPOConfig, RunFolder
+from evogymcm.algos.codesign import CodesignConfig, codesign
+
+EXPERIMENTS: Mapping[str, tuple[str, str]] = {"B": ("fixed", "reactive"), "C": ("prescribed", "invariant")}
+COLOURS: Mapping[str, str] = {
+    "fixed": "#0072b2",
+    "prescribed": "#0072b2",
+    "reactive": "#d55e00",
+    "invariant": "#009e73",
+}
+
+
+def _body_budget(env_steps: int, **changes: Any) -> PPOConfig:
+    """Returns the inner loop of one body."""
+    settings = {"num_worlds": 16, "minibatch": 128, "eval_interval": 10_000, "sharing": "independent"}
+    return PPOConfig(total_steps=env_steps, **settings | changes)
+
+
+@dataclass(frozen=True)
+class CodesignSuite:
+    """What to run: every task in both arms of an experiment, with every seed."""
+
+    experiment: str
+    tasks: tuple[str, ...]
+    arms: tuple[str, ...]
+    seeds: tuple[int, ...]
+    base: CodesignConfig = field(default_factory=CodesignConfig)
+
+    def __post_init__(self) -> None:
+        if self.experiment not in EXPERIMENTS:
+            raise ValueError(f"experiment: got {self.experiment!r}, allowed are {sorted(EXPERIMENTS)}")
+        allowed_arms = EXPERIMENTS[self.experiment]
+        for name, given, allowed in (("task", self.tasks, tuple(PAPER)), ("arm", self.arms, allowed_arms)):
+            unknown = [item for item in given if item not in allowed]
+            if unknown:
+                raise ValueError(f"{name}: got {unknown}, allowed are {sorted(allowed)}")
+        if not (self.tasks and self.arms and self.seeds):
+            raise ValueError("tasks, arms and seeds must not be empty")
+
+    @property
+    def steps_per_run(self) -> int:
+        """Env-steps after which a run ends."""
+        return self.base.max_env_steps or self.base.budget * self.base.ppo.total_steps
+
+    def jobs(self) -> list["CodesignJob"]:
+        """Returns all runs, seed by seed, so that an early stop leaves whole comparisons."""
+        return [
+            CodesignJob(self.experiment, replace(self.base, task=task, arm=arm, seed=seed))
+            for seed in self.seeds
+            for task in self.tasks
+            for arm in self.arms
+        ]
+
+
+@dataclass(frozen=True)
+class CodesignJob:
+    """One co-design run."""
+
+    experiment: str
+    config: CodesignConfig
+
+    @property
+    def name(self) -> str:
+        """Name of the run's folder."""
+        return f"{self.config.task}-{self.config.arm}-seed{self.config.seed}"
+
+    def run(
+        self, folder: Path, resume: bool, tell: Callable[[int, float | None], None], should_stop: Callable[[], bool]
+    ) -> dict[str, Any]:
+        """Searches in `folder / name` and returns all numbers of the run."""
+        run = RunFolder(folder / self.name, asdict(self.config), resume=resume)
+        result = codesign(
+            self.config,
+            run=run,
+            progress=lambda state: tell(state.env_steps, state.best),
+            should_stop=should_stop,
+        )
+        record: dict[str, Any] = {
+            "experiment": self.experiment,
+            "task": self.config.task,
+            "arm": self.config.arm,
+            "seed": self.config.seed,
+            "finished": result.finished,
+            "env_steps": result.env_steps,
+            "bodies": len({row["index"] for row in result.rows}),
+            "best": None if result.best is None else result.best.record(),
+            "curve": curve(result.rows),
+        }
+        run.write_json("result.json", record)
+        return record
+
+
+def curve(rows: Sequence[Mapping[str, Any]]) -> list[list[float]]:
+    """Returns (env-steps, best fitness so far), one point for each phase that ended."""
+    points: dict[int, float] = {}
+    for row in rows:
+        points[row["env_steps"]] = row["best"]
+    return [[steps, best] for steps, best in sorted(points.items())]
+
+
+def _suite(experiment: str, tasks: tuple[str, ...], seeds: tuple[int, ...], base: CodesignConfig) -> CodesignSuite:
+    return CodesignSuite(experiment, tasks, EXPERIMENTS[experiment], seeds, base)
+
+
+_SMALL = CodesignConfig(
+    population=6, budget=1000, max_env_steps=600_000, finetune_steps=4_096, ppo=_body_budget(30_000)
+)
+_MEDIUM = replace(
+    _SMALL, population=12, max_env_steps=10_000_000, finetune_steps=10_000, ppo=_body_budget(200_000, num_worlds=32)
+)
+_PAPER = replace(
+    _SMALL,
+    population=25,
+    budget=100,
+    max_env_steps=None,
+    finetune_steps=10_000,
+    ppo=_body_budget(1_000_000, num_worlds=64, minibatch=512),
+)
+_QUICK = replace(_SMALL, max_env_steps=150_000, ppo=_body_budget(10_000))
+
+PRESETS: Mapping[str, CodesignSuite] = {
+    "reactive-quick": _suite("B", ("AreaMaximizer-v0",), (0,), _QUICK),
+    "reactive-small": _suite("B", ("AreaMaximizer-v0", "DownStepper-v0"), (0, 1, 2), _SMALL),
+    "reactive-medium": _suite("B", ("AreaMaximizer-v0", "DownStepper-v0"), (0, 1, 2), _MEDIUM),
+    "reactive-paper": _suite("B", tuple(PAPER), (0, 1, 2), _PAPER),
+    "invariant-quick": _suite("C", ("BridgeWalker-v0",), (0,), _QUICK),
+    "invariant-small": _suite("C", ("BridgeWalker-v0", "Walker-v0"), (0, 1, 2), _SMALL),
+    "invariant-medium": _suite("C", ("BridgeWalker-v0", "Walker-v0"), (0, 1, 2), _MEDIUM),
+    "invariant-paper": _suite("C", tuple(PAPER), (0, 1, 2), _PAPER),
+}
+
+
+def best_at(points: Sequence[Sequence[float]], steps: Sequence[float] | np.ndarray) -> np.ndarray:
+    """Returns the best fitness that a run had at each number of env-steps, NaN before its first."""
+    at, best = np.array(points).T
+    place = np.searchsorted(at, steps, side="right") - 1
+    return np.where(place >= 0, best[place.clip(0)], np.nan)
+
+
+def summarise(runs: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """Returns one row per task and arm: best fitness over the seeds, where the shortest run of the task ended."""
+    rows = []
+    for task in PAPER:
+        of_task = [run for run in runs if run["task"] == task and run["curve"]]
+        end = min((run["curve"][-1][0] for run in of_task), default=0)
+        for arm in dict.fromkeys(run["arm"] for run in of_task):
+            group = [run for run in of_task if run["arm"] == arm]
+            scores = [float(best_at(run["curve"], [end])[0]) for run in group]
+            rows.append(
+                {
+                    "task": task,
+                    "arm": arm,
+                    "seeds": len(group),
+                    "env_steps": end,
+                    "bodies": float(np.mean([run["bodies"] for run in group])),
+                    "scores": scores,
+                    "mean": float(np.mean(scores)),
+                    "std": float(np.std(scores, ddof=1)) if len(scores) > 1 else None,
+                }
+            )
+    return rows
+
+
+def table(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Returns the summary as text."""
+    lines = [("task", "arm", "seeds", "env-steps", "bodies trained", "best score", "of each seed")]
+    for row in rows:
+        spread = "" if row["std"] is None else f" ({row['std']:.2f})"
+        each = " ".join(f"{score:.2f}" for score in row["scores"])
+        lines.append(
+            (
+                row["task"],
+                row["arm"],
+                str(row["seeds"]),
+                f"{row['env_steps']:,.0f}",
+                f"{row['bodies']:.0f}",
+                f"{row['mean']:.2f}{spread}",
+                each,
+            )
+        )
+    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+    return "\n".join("  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)) for line in lines)
+
+
+def plot(runs: Sequence[Mapping[str, Any]], path: Path) -> None:
+    """Draws the best score against env-steps of all kinds: mean and range over seeds, single seeds as thin lines."""
+    import matplotlib as mpl
+
+    mpl.use("Agg")
+    import matplotlib.pyplot as plt
+
+    tasks = [task for task in PAPER if any(run["task"] == task for run in runs)]
+    figure, axes = plt.subplots(1, len(tasks), figsize=(5 * len(tasks), 3.6), squeeze=False, layout="constrained")
+    for axis, task in zip(axes.flat, tasks, strict=True):
+        of_task = [run for run in runs if run["task"] == task and run["curve"]]
+        end = min(run["curve"][-1][0] for run in of_task)
+        grid = np.linspace(0, end, 200)
+        for arm in dict.fromkeys(run["arm"] for run in of_task):
+            lines = np.stack([best_at(run["curve"], grid) for run in of_task if run["arm"] == arm])
+            known = np.isfinite(lines).all(0)
+            axis.plot(grid, lines.T, color=COLOURS[arm], lw=0.6, alpha=0.5)
+            axis.plot(grid[known], lines[:, known].mean(0), color=COLOURS[arm], lw=2, label=arm)
+            axis.fill_between(
+                grid[known], lines[:, known].min(0), lines[:, known].max(0), color=COLOURS[arm], alpha=0.12
+            )
+        axis.set(title=task, xlabel="simulated env-steps, of all kinds", ylabel="best score so far")
+        axis.ticklabel_format(axis="x", style="sci", scilimits=(0, 0))
+        axis.legend(fontsize="small", title=f"mean and range of {lines.shape[0]} seeds")
+    figure.savefig(path, dpi=150)
+    plt.close(figure)
+
+
+def draw_designs(runs: Sequence[Mapping[str, Any]], path: Path) -> None:
+    """Draws the best design of every run, voxels by type and, where it is searched, their stiffness."""
+    import matplotlib as mpl
+
+    mpl.use("Agg")
+    import matplotlib.pyplot as plt
+    from matplotlib.patches import Rectangle
+
+    from evogymcm import Body
+    from evogymcm.envs import _palette as palette
+
+    shown = sorted((run for run in runs if run["best"]), key=lambda run: (run["task"], run["arm"], run["seed"]))
+    columns = max(1, len({run["seed"] for run in shown}))
+    n_rows = -(-len(shown) // columns)
+    figure, axes = plt.subplots(n_rows, columns, figsize=(2.1 * columns, 2.4 * n_rows), squeeze=False)
+    for axis, run in zip(axes.flat, shown, strict=False):
+        grid = Body(run["best"]["body"], run["best"]["connections"]).grid
+        stiffness = run["best"]["stiffness"]
+        for row, column in np.argwhere(grid):
+            colour = np.array(palette.type_color(int(grid[row, column]))) / 255
+            axis.add_patch(Rectangle((column, -row), 1, 1, facecolor=colour, edgecolor="white", lw=0.6))
+            if stiffness is not None:
+                axis.text(column + 0.5, 0.5 - row, f"{stiffness[row][column]:.1f}", ha="center", va="center", size=6)
+        axis.set(xlim=(-0.1, grid.shape[1] + 0.1), ylim=(0.9 - grid.shape[0], 1.1), aspect="equal")
+        axis.set_title(f"{run['task']}\n{run['arm']}, seed {run['seed']}: {run['best']['fitness']:.2f}", size=6)
+        axis.set_axis_off()
+    for axis in axes.flat[len(shown) :]:
+        axis.set_axis_off()
+    figure.savefig(path, dpi=150)
+    plt.close(figure)

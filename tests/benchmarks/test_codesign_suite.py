@@ -1,0 +1,78 @@
+"""Experiments B and C: presets, equal budgets, table and figures, and a tiny run from end to end."""
+
+import importlib
+import json
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
+
+
+@pytest.fixture
+def suite(monkeypatch):
+    monkeypatch.syspath_prepend(BENCHMARKS)
+    return importlib.import_module("_codesign")
+
+
+def record(arm, seed, points):
+    body = {"body": "HV/SR", "connections": None, "stiffness": [[0.5, 1.0], [2.0, 1.5]], "fitness": points[-1][1]}
+    return {"task": "Walker-v0", "arm": arm, "seed": seed, "bodies": 4, "curve": points, "best": body}
+
+
+def test_presets_give_both_arms_the_same_budget(suite):
+    for name, preset in suite.PRESETS.items():
+        jobs = preset.jobs()
+        assert len({job.name for job in jobs}) == len(jobs)
+        assert {job.config.arm for job in jobs} == set(suite.EXPERIMENTS[preset.experiment])
+        assert len({replace(job.config, arm="fixed", task="", seed=0) for job in jobs}) == 1, name
+    assert suite.PRESETS["reactive-paper"].base.budget == 100
+    assert len(suite.PRESETS["invariant-paper"].jobs()) == 36
+
+
+def test_wrong_arms_and_tasks_are_refused(suite):
+    with pytest.raises(ValueError, match="arm: got"):
+        replace(suite.PRESETS["reactive-quick"], arms=("invariant",))
+    with pytest.raises(ValueError, match="task: got"):
+        replace(suite.PRESETS["reactive-quick"], tasks=("Hopper-v0",))
+    with pytest.raises(ValueError, match="experiment: got 'D'"):
+        replace(suite.PRESETS["reactive-quick"], experiment="D")
+
+
+def test_runs_are_compared_where_the_shortest_ends(suite):
+    points = [[100, 1.0], [200, 3.0], [400, 7.0]]
+    assert suite.best_at(points, [100, 199, 200, 1000]).tolist() == [1.0, 1.0, 3.0, 7.0]
+    assert np.isnan(suite.best_at(points, [99])[0])
+    runs = [record("fixed", 0, points), record("fixed", 1, [[150, 2.0], [300, 4.0]])]
+    runs.append(record("reactive", 0, [[120, 5.0], [350, 6.0]]))
+    fixed, reactive = suite.summarise(runs)
+    assert (fixed["scores"], fixed["env_steps"]) == ([3.0, 4.0], 300)
+    assert (fixed["mean"], reactive["mean"]) == (3.5, 5.0)
+    assert "3.50 (0.71)" in suite.table([fixed, reactive])
+
+
+def test_figures(suite, tmp_path):
+    pytest.importorskip("matplotlib")
+    runs = [record(arm, seed, [[100, 1.0], [200, 2.0 + seed]]) for arm in ("fixed", "reactive") for seed in range(2)]
+    suite.plot(runs, tmp_path / "curves.png")
+    suite.draw_designs(runs, tmp_path / "designs.png")
+    assert min((tmp_path / name).stat().st_size for name in ("curves.png", "designs.png")) > 5000
+
+
+@pytest.mark.slow
+def test_a_tiny_experiment_from_end_to_end(tmp_path):
+    command = [sys.executable, str(BENCHMARKS / "run_suite.py"), "--preset", "invariant-quick", "--total-steps", "5000"]
+    command += ["--tasks", "Walker-v0", "--body-steps", "512", "--output", str(tmp_path / "run")]
+    first = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert first.returncode == 0, first.stderr
+    assert "2 runs of 5,000 env-steps" in first.stderr
+    results = json.loads((tmp_path / "run" / "results.json").read_text())
+    assert {row["arm"] for row in results["summary"]} == {"prescribed", "invariant"}
+    assert all(run["env_steps"] >= 5000 for run in results["runs"])
+    assert (tmp_path / "run" / "designs.png").exists()
+    again = subprocess.run([*command, "--resume"], capture_output=True, text=True, check=False)
+    assert json.loads((tmp_path / "run" / "results.json").read_text())["summary"] == results["summary"], again.stderr

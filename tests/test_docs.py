@@ -1,0 +1,130 @@
+"""The documentation's pages: their code runs and prints what they show, and what they name exists."""
+
+import contextlib
+import importlib
+import io
+import re
+import sys
+import types
+from importlib.metadata import entry_points
+from itertools import pairwise
+from pathlib import Path
+
+import gymnasium
+import pytest
+
+from evogymcm.envs import tasks as task_package
+
+ROOT = Path(__file__).resolve().parents[1]
+PAGES = {path.stem: path.read_text(encoding="utf-8") for path in sorted((ROOT / "docs").glob("*.md"))}
+FENCE = re.compile(r"^```(?P<info>.+)\n(?P<content>(?:.*\n)*?)```$", re.MULTILINE)
+OUTPUT = 'text title="Output"'
+KINDS = {"python", "sh", OUTPUT}  # python runs, sh is for a terminal
+SMALLER = {  # budgets of the pages, and those of the tests
+    "total_steps=200_000, eval_worlds": "total_steps=64, num_worlds=16, rollout_steps=4, eval_worlds",
+    "total_steps=500_000, num_worlds=64": "total_steps=64, num_worlds=16, rollout_steps=4",
+    "total_timesteps=100_000": "total_timesteps=512",
+}
+
+NOT_SHOWN = {
+    "population_env",  # PopulationEnv
+    "parallel_env",  # BodiesParallelEnv
+    "MaskedSquashedNormal",
+    "VoxelActions",
+    "Trainer",
+    "stop_on_interrupt",
+}
+
+
+def blocks_of(page):
+    """Yields the code of each Python block of a page, and the output that the page shows below it, or None."""
+    fences = [(match["info"], match["content"]) for match in FENCE.finditer(PAGES[page])]
+    assert {info for info, _ in fences} <= KINDS
+    for (info, code), (next_info, shown) in pairwise([*fences, ("", "")]):
+        assert (info, next_info) not in {("sh", OUTPUT), (OUTPUT, OUTPUT)}
+        if info == "python":
+            yield code, shown if next_info == OUTPUT else None
+
+
+WITH_CODE = [page for page in PAGES if list(blocks_of(page))]
+
+
+@pytest.fixture
+def own_registries():
+    """Lets a page register tasks without the other tests seeing them."""
+    before, before_gymnasium = dict(task_package._REGISTRY), dict(gymnasium.registry)
+    yield
+    task_package._REGISTRY.clear()
+    task_package._REGISTRY.update(before)
+    gymnasium.registry.clear()
+    gymnasium.registry.update(before_gymnasium)
+
+
+@pytest.mark.usefixtures("own_registries")
+@pytest.mark.parametrize("page", WITH_CODE)
+def test_code_runs_and_prints_what_is_shown(page, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    module = types.ModuleType("page")  # dataclasses look their module up
+    monkeypatch.setitem(sys.modules, "page", module)
+    for number, (code, shown) in enumerate(blocks_of(page)):
+        for large, small in SMALLER.items():
+            code = code.replace(large, small)
+        printed = io.StringIO()
+        with contextlib.redirect_stdout(printed):
+            exec(compile(code, f"{page}.md, block {number}", "exec"), module.__dict__)
+        if shown is not None:
+            assert printed.getvalue().rstrip() == shown.rstrip(), code
+
+
+def test_pages_with_code_are_these():
+    expected = {"index", "concepts", "custom-tasks", "gymnasium", "pettingzoo", "tasks", "torchrl"}
+    assert expected <= set(WITH_CODE)
+
+
+def test_budgets_that_are_made_smaller_are_there():
+    text = "".join(PAGES.values())
+    assert [large for large in SMALLER if large not in text] == []
+
+
+def test_pages_are_in_the_navigation_and_link_to_files_that_exist():
+    navigation = (ROOT / "mkdocs.yml").read_text(encoding="utf-8")
+    for page, text in PAGES.items():
+        assert f": {page}.md\n" in navigation
+        for target in re.findall(r"\]\(([^)#:]+)(?:#[^)]*)?\)", text):
+            assert (ROOT / "docs" / target).exists(), f"{page}: {target}"
+
+
+def test_names_of_the_api_page_exist():
+    names = re.findall(r"^::: (\S+)$", PAGES["api"], re.MULTILINE)
+    members = re.findall(r"members: \[(.+)\]", PAGES["api"])
+    assert len(names) > 25
+    assert members
+    for name in names:
+        module, _, attribute = name.rpartition(".")
+        try:
+            importlib.import_module(name)
+        except ModuleNotFoundError:
+            assert hasattr(importlib.import_module(module), attribute), name
+
+
+def test_every_public_name_is_on_the_api_page():
+    public = {
+        name
+        for package in ("evogymcm", "evogymcm.envs", "evogymcm.algos")
+        for name in importlib.import_module(package).__all__
+    }
+    missing = {name for name in public if not re.search(rf"\b{name}\b", PAGES["api"])}
+    assert missing - NOT_SHOWN == set()
+
+
+def test_commands_of_the_pages_exist(capsys):
+    (script,) = entry_points(group="console_scripts", name="evogymcm")
+    main = script.load()
+    text = "".join(PAGES.values()) + (ROOT / "README.md").read_text(encoding="utf-8")
+    named = set(re.findall(r"(?:python -m evogymcm|^evogymcm|`evogymcm) (\w+)", text, re.MULTILINE))
+    assert {"tasks", "warmup", "watch"} <= named
+    for command in named:
+        with pytest.raises(SystemExit) as stop:
+            main([command, "--help"])
+        assert stop.value.code == 0, command
+        assert f"evogymcm {command}" in capsys.readouterr().out
