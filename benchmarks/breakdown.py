@@ -61,7 +61,7 @@ def main() -> None:
     simulator = engine.simulator
     layout, state, physics = simulator.blocks[0].layout, simulator.blocks[0].state, simulator.physics.values()
     points, forces = state.points, state.springs
-    pulls = Pulls(layout.pulls_start, layout.pulls, layout.pull_signs)
+    pulls = Pulls(layout.pulls_start, layout.pulls_turn, layout.pulls)
     lists = (layout, points, state.boxes, ALL, state.nearby, state.pairs, state.counts, state.crowded)
     touch = (layout.corners, layout.sides, layout.is_surface, layout.cell_object, layout.static_points)
     parts: list[tuple[str, Any, tuple[Any, ...], float]] = [

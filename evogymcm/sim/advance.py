@@ -29,7 +29,10 @@ ALL_LANES = (1 << lanes.N_LANES) - 1
 
 
 class State(NamedTuple):
-    """What changes in a block: P moving points, S springs, C moving surface voxels. Made once, reused."""
+    """What changes in a block: P moving points, S springs, C moving surface voxels. Made once, reused.
+
+    Those with lanes are tables, see `lanes.new_table`.
+    """
 
     points: np.ndarray  # (N_POINT_ROWS, P, 8)
     saved: np.ndarray  # (N_STATE_ROWS, P, 8) the state before the present env-step
@@ -47,10 +50,10 @@ def new_state(layout: Layout) -> State:
     n_points, n_springs, n_cells = len(layout.initial), len(layout.rest), len(layout.grid_cells)
     n_robot_cells = int(layout.objects[0, 3])
     state = State(
-        points=np.zeros((N_POINT_ROWS, n_points, lanes.N_LANES)),
-        saved=np.zeros((N_STATE_ROWS, n_points, lanes.N_LANES)),
-        springs=np.zeros((N_SPRING_ROWS, n_springs, lanes.N_LANES)),
-        boxes=np.zeros((4, n_cells, lanes.N_LANES)),
+        points=lanes.new_table(N_POINT_ROWS, n_points),
+        saved=lanes.new_table(N_STATE_ROWS, n_points),
+        springs=lanes.new_table(N_SPRING_ROWS, n_springs),
+        boxes=lanes.aligned_zeros(4, n_cells, lanes.N_LANES),
         nearby=np.zeros(n_points, np.int32),
         beyond=np.zeros(n_springs, np.int32),
         pairs=np.zeros((lanes.N_LANES, 16 * n_cells + 64, 3), np.int32),
@@ -168,7 +171,7 @@ def advance(
     ends, rest, is_free, corners = layout.ends, layout.rest, layout.is_free, layout.corners
     points, springs, boxes, pairs, counts = state.points, state.springs, state.boxes, state.pairs, state.counts
     n_robot_cells = layout.objects[0, 3]
-    pulls = Pulls(layout.pulls_start, layout.pulls, layout.pull_signs)
+    pulls = Pulls(layout.pulls_start, layout.pulls_turn, layout.pulls)
     _copy_lanes(points, state.saved, ALL_LANES)
     unstable, n_crowded = 0, 0
     for substep in range(n_substeps):

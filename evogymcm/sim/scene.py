@@ -32,7 +32,7 @@ class Layout(NamedTuple):
     is_free: np.ndarray  # (P,) whether integration moves the point
     pulls_start: np.ndarray  # (P + 1,) where a point's rows in `pulls` begin
     pulls: np.ndarray  # (2 S,) the springs at each point: those that begin there in order, then those that end there
-    pull_signs: np.ndarray  # (2 S,) -1 where the point is the spring's first end, else 1
+    pulls_turn: np.ndarray  # (P,) where in `pulls` those that end at the point begin
     objects: np.ndarray  # (K, 4) objects: first and end moving point, first and end moving surface voxel
     is_anchored: np.ndarray  # (K,) whether some of the object's points are fixed, and others move
     initial: np.ndarray  # (P, 2) coordinates at reset
@@ -205,7 +205,7 @@ def build_scene(
             for i in (0, 1, 2, 5)]  # fmt: skip
     uses_start, uses = _uses(both[0], n_moving + n_static)
     ends = np.concatenate([s["ends"] for s in springs]).astype(np.int32)
-    pulls_start, pulls, pull_signs = _pulls(ends, n_moving)
+    pulls_start, pulls, pulls_turn = _pulls(ends, n_moving)
     arrays = {
         "ends": ends,
         "rest": np.concatenate([s["rest"] for s in springs]),
@@ -217,7 +217,7 @@ def build_scene(
         "is_free": np.concatenate(is_free),
         "pulls_start": pulls_start,
         "pulls": pulls,
-        "pull_signs": pull_signs,
+        "pulls_turn": pulls_turn,
         "objects": np.array(ranges, np.int32),
         "is_anchored": np.array(is_anchored),
         "initial": np.concatenate(coordinates),
@@ -241,15 +241,18 @@ def build_scene(
 
 
 def _pulls(ends: np.ndarray, n_points: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Returns for each moving point the springs that begin there in order, then those that end there; and the signs.
+    """Returns for each moving point the springs that begin there in order, then those that end there.
 
     Forces add up in this order, as in EvoGym.
+
+    Returns:
+        Where a point's springs begin, the springs, and where those that end there begin.
     """
     points, springs = ends.T.ravel(), np.tile(np.arange(len(ends)), 2)
-    signs = np.repeat([-1.0, 1.0], len(ends))
     order = np.argsort(points, kind="stable")
     start = np.searchsorted(points[order], np.arange(n_points + 1))
-    return start.astype(np.int32), springs[order].astype(np.int32), signs[order]
+    turn = start[:-1] + np.bincount(ends[:, 0], minlength=n_points)
+    return start.astype(np.int32), springs[order].astype(np.int32), turn.astype(np.int32)
 
 
 def _uses(corners: np.ndarray, n_points: int) -> tuple[np.ndarray, np.ndarray]:

@@ -36,9 +36,9 @@ N_SPRING_ROWS = 6
 class Pulls(NamedTuple):
     """The springs at each point: those that begin there in order, then those that end there."""
 
-    start: np.ndarray  # (P + 1,) where a point's rows begin
+    start: np.ndarray  # (P + 1,) where a point's springs begin
+    turn: np.ndarray  # (P,) where those that end there begin
     springs: np.ndarray  # (2 S,)
-    signs: np.ndarray  # (2 S,) -1 where the point is the spring's first end, else 1
 
 
 @kernel
@@ -81,10 +81,13 @@ def _slopes(pulls: Pulls, springs: np.ndarray, points: np.ndarray, p: int, x: in
     forces in registers: adding them up in memory, spring by spring, waits for each sum to be stored.
     """
     pull_x = pull_y = lanes.spread(0.0)
-    for i in range(pulls.start[p], pulls.start[p + 1]):
-        s, sign = pulls.springs[i], pulls.signs[i]
-        pull_x = pull_x + sign * lanes.load(springs, FORCE_X, s)
-        pull_y = pull_y + sign * lanes.load(springs, FORCE_Y, s)
+    turn = pulls.turn[p]
+    for i in range(pulls.start[p], turn):
+        pull_x = pull_x - lanes.load(springs, FORCE_X, pulls.springs[i])
+        pull_y = pull_y - lanes.load(springs, FORCE_Y, pulls.springs[i])
+    for i in range(turn, pulls.start[p + 1]):
+        pull_x = pull_x + lanes.load(springs, FORCE_X, pulls.springs[i])
+        pull_y = pull_y + lanes.load(springs, FORCE_Y, pulls.springs[i])
     vx, vy = lanes.load(points, v, p), lanes.load(points, v + 1, p)
     ax = pull_x - physics.drag * vx + lanes.load(points, FX, p)
     ay = pull_y - physics.drag * vy - physics.gravity + lanes.load(points, FY, p)

@@ -82,7 +82,7 @@ def _choose(mask, a, b, number, out):
 
 @kernel
 def _shift(table, out):
-    """Moves every entry of a (rows, n, 8) table to the next row and place."""
+    """Moves every entry of a table to the next row and place."""
     for row in range(table.shape[0] - 1):
         for i in range(table.shape[1] - 1):
             lanes.store(out, row + 1, i + 1, lanes.load(table, row, i))
@@ -130,13 +130,24 @@ def test_select(mask):
     np.testing.assert_array_equal(out[0], [np.where(flags, *both) for both in ((a, b), (a, 7.5), (7.5, b))])
 
 
-def test_load_and_store_address_rows_and_places():
-    table = np.random.default_rng(0).normal(size=(3, 5, 8))
-    out = np.zeros_like(table)
+@pytest.mark.parametrize("n", [1, 5])
+@pytest.mark.parametrize("new", [lanes.new_table, lambda rows, n: np.zeros((rows, n, 8))], ids=["table", "array"])
+def test_load_and_store_address_rows_and_places(new, n):
+    table, out = new(3, n), new(3, n)
+    table[:] = np.random.default_rng(0).normal(size=table.shape)
     _shift(table, out)
     np.testing.assert_array_equal(out[1:, 1:], table[:-1, :-1])
     assert not out[0].any()
     assert not out[:, 0].any()
+
+
+def test_new_tables_are_aligned():
+    for n in range(1, 20):
+        table = lanes.new_table(3, n)
+        assert table.shape == (3, n, 8)
+        assert table[0, 0].ctypes.data % 64 == 0
+        assert table[1, 0].ctypes.data - table[0, 0].ctypes.data == 64
+        assert not table.any()
 
 
 def test_load_takes_tables_of_lanes_only():
