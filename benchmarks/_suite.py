@@ -6,6 +6,8 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from _signals import analyse_run
+
 from evogymcm import robots
 from evogymcm.algos import EnvFactory, PPOConfig, Progress, RunFolder, train
 
@@ -100,6 +102,8 @@ class Job:
     ) -> dict[str, Any]:
         """Trains in `folder / name` and returns all numbers of the run.
 
+        A finished run with stiffness control also gets signals.json and signals.png, see `_signals.py`.
+
         Args:
             folder: of the suite.
             resume: go on with what is there.
@@ -128,4 +132,7 @@ class Job:
             "curve": [[row["env_steps"], row["seconds"], row["score"]] for row in result.rows if "score" in row],
         }
         run.write_json("result.json", record)
+        if result.finished and ARMS[self.arm] == "reactive":
+            record["signals"] = analyse_run(run.path, self.task, robots[PAPER[self.task].robot]).summary()
+            run.write_json("result.json", record)
         return record

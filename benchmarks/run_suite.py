@@ -216,6 +216,7 @@ def main(options: Options) -> int:
             "commit": commit(),
             "wall_seconds": time.perf_counter() - start,
             "summary": rows,
+            **({"overall": _report.overall(rows)} if isinstance(suite, Suite) else {}),
             "runs": runs,
         },
     )

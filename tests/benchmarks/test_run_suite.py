@@ -12,9 +12,11 @@ from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 
+import numpy as np
 import pytest
 
-from evogymcm import robot_tasks
+from evogymcm import robot_tasks, robots
+from evogymcm.algos.recording import Recording
 
 BENCHMARKS = Path(__file__).resolve().parents[2] / "benchmarks"
 
@@ -98,10 +100,83 @@ def test_table_sets_the_paper_beside(report):
     assert "untrained" in text
 
 
+def _both_arms(seeds: int = 3) -> list[dict]:
+    """Control-only scores 8.0, 8.1 ...; co-optimisation 9.0, 9.3 ..."""
+    scores = [("control-only", 8.0, 0.1), ("co-optimisation", 9.0, 0.3)]
+    return [_record(arm, seed, first + more * seed) for seed in range(seeds) for arm, first, more in scores]
+
+
+def test_summary_compares_the_arms(report):
+    control, both = report.summarise(_both_arms())
+    assert "gain" not in control
+    gain = both["gain"]
+    assert gain["final"] == pytest.approx(9.3 - 8.1)
+    low, high = gain["final_interval"]
+    assert 9.0 - 8.2 <= low < gain["final"] < high <= 9.6 - 8.0
+    assert gain["best"] == pytest.approx(gain["final"])  # each best is half a point above the last
+    assert (gain["final_improvement"], gain["best_improvement"]) == (1.0, 1.0)
+    assert gain["paper"] == pytest.approx(9.55 - 9.46)
+    assert both["final_scores"] == pytest.approx([9.0, 9.3, 9.6])
+    json.dumps([control, both], allow_nan=False)
+
+
+def test_all_tasks_together_count_in_the_papers_units(report):
+    runs = _both_arms() + [run | {"task": "AreaMaximizer-v0"} for run in _both_arms()]
+    total = report.overall(report.summarise(runs))
+    assert total["tasks"] == ["Walker-v0", "AreaMaximizer-v0"]
+    pool = sorted([8.0 / 9.46, 8.1 / 9.46, 8.2 / 9.46, 8.0 / 0.62, 8.1 / 0.62, 8.2 / 0.62])
+    value = total["control-only"]["final"]["interquartile_mean"]
+    assert value == pytest.approx(sum(pool[1:-1]) / 4)
+    assert total["improvement"]["final"]["probability"] == 1.0
+    json.dumps(total, allow_nan=False)
+
+
+def test_one_arm_alone_has_nothing_to_compare(report):
+    rows = report.summarise([_record("co-optimisation", 0, 9.0)])
+    assert "gain" not in rows[0]
+    assert report.overall(rows) == {}
+    assert "minus" not in report.table(rows)
+
+
+def test_table_says_how_far_the_intervals_can_be_trusted(report):
+    text = report.table(report.summarise(_both_arms())).replace("\n", " ")
+    assert "+1.20 [" in text
+    assert "+0.09" in text  # the paper's
+    assert "3 seeds an arm" in text
+    assert "80% of cases" in text
+    single = report.table(report.summarise(_both_arms(1)))
+    assert "+1.00" in single
+    assert "[" not in single
+    assert "One seed" in single
+
+
+def test_markdown_holds_the_same_cells(report):
+    rows = report.summarise(_both_arms())
+    text = report.markdown(rows)
+    tables = [[line for line in part.splitlines() if line.startswith("|")] for part in text.split("\n\n")]
+    assert [len(lines) for lines in tables] == [4, 3, 5, 0]
+    for lines in tables:
+        assert len({line.count("|") for line in lines}) <= 1
+    assert (
+        "| Walker-v0 | co-optimisation | 3 | 1,000 | 0.10 | 9.30 (0.30) | 97.4% | 9.55 (0.01) | 9.80 (0.30) |" in text
+    )
+    plain = report.table(rows).replace("\n", " ")
+    for cell in text.replace("\n", "|").split("|"):
+        assert cell.strip("- ") in plain
+
+
 def test_figure(report, tmp_path):
     pytest.importorskip("matplotlib")
-    report.plot([_record("co-optimisation", 0, 9.0), _record("control-only", 0, 8.0)], tmp_path / "curves.png")
+    report.plot(_both_arms(2), tmp_path / "curves.png")
     assert (tmp_path / "curves.png").stat().st_size > 10_000
+
+
+def test_the_band_reaches_as_far_as_the_shortest_run(report):
+    long = np.array([[0, 100, 200, 300], [0.0, 1.0, 2.0, 3.0]])
+    short = np.array([[0, 150], [2.0, 2.0]])
+    steps, scores = report.common_curve([long, short])
+    assert steps.tolist() == [0, 100, 150]
+    assert scores.tolist() == [[0.0, 1.0, 1.5], [2.0, 2.0, 2.0]]
 
 
 def test_an_existing_folder_is_refused(run_suite, tmp_path, capsys):
@@ -132,6 +207,22 @@ def test_a_failed_run_does_not_take_the_others_with_it(run_suite, tmp_path, monk
     assert [run["arm"] for run in runs] == ["co-optimisation"]
 
 
+@pytest.mark.parametrize("steps", [300, 1])
+def test_figure_of_signals(monkeypatch, tmp_path, steps):
+    pytest.importorskip("matplotlib")
+    signals = _module("_signals", monkeypatch)
+    t = np.arange(steps)
+    both = 1 + 0.3 * np.stack([np.sin(t / 3), np.cos(t / 3)], 1)
+    actuation = np.where([True, False], both, np.nan)
+    contact = np.stack([t % 20 < 8, t < 0], 1)
+    recording = Recording(
+        "Walker-v0", np.array([[0, 0], [1, 2]]), np.array([True, False]), actuation, both, contact, 1.0
+    )
+    signals.plot(signals.analyse_signals(recording), tmp_path / "signals.png")
+    assert (tmp_path / "signals.png").stat().st_size > 20_000
+    assert [path.name for path in tmp_path.iterdir()] == ["signals.png"]  # no unfinished file beside it
+
+
 def test_machine(monkeypatch):
     machine = _module("_machine", monkeypatch)
     assert machine.machine()["cores"] >= 1
@@ -151,8 +242,35 @@ def test_a_tiny_suite_from_end_to_end(tmp_path):
     assert [run["env_steps"] for run in results["runs"]] == [320, 320]
     assert {row["arm"] for row in results["summary"]} == {"control-only", "co-optimisation"}
     assert (tmp_path / "run" / "curves.png").exists()
+    signals = _check_signals(tmp_path / "run", results["runs"])
     refused = subprocess.run(command, capture_output=True, text=True, check=False)
     assert refused.returncode == 2
     again = subprocess.run([*command, "--resume"], capture_output=True, text=True, check=False)
     assert again.returncode == 0, again.stderr
     assert json.loads((tmp_path / "run" / "results.json").read_text())["summary"] == results["summary"]
+    script = [sys.executable, str(BENCHMARKS / "analyse_signals.py")]
+    signals.unlink()
+    done = subprocess.run([*script, str(signals.parent)], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert signals.parent.name in done.stdout
+    assert signals.exists()
+    wrong = tmp_path / "run" / "Walker-v0-control-only-seed0"
+    done = subprocess.run([*script, str(wrong), str(tmp_path)], capture_output=True, text=True, check=False)
+    assert done.returncode == 1
+    assert "control-only" in done.stderr
+    assert "config.json" in done.stderr
+
+
+def _check_signals(folder: Path, runs: list[dict]) -> Path:
+    """Only the run with stiffness control has signals, of an episode that scores as the run's last policy."""
+    (run,) = [run for run in runs if run["arm"] == "co-optimisation"]
+    assert [("signals" in other) for other in runs].count(True) == 1
+    path = folder / "Walker-v0-co-optimisation-seed0" / "signals.json"
+    assert not (folder / "Walker-v0-control-only-seed0" / "signals.json").exists()
+    record = json.loads(path.read_text())
+    assert record["score"] == pytest.approx(run["final"]["score"], abs=1e-4)
+    assert run["signals"]["score"] == run["final"]["score"]
+    assert len(record["voxels"]) == robots["Walk_Bot"].n_voxels
+    assert {len(voxel["stiffness"]) for voxel in record["voxels"]} == {500}
+    assert json.loads((path.parent / "result.json").read_text())["signals"]["n_impacts"] == run["signals"]["n_impacts"]
+    return path
