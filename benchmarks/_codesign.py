@@ -108,13 +108,20 @@ def curve(rows: Sequence[Mapping[str, Any]]) -> list[list[float]]:
     return [[steps, best] for steps, best in sorted(points.items())]
 
 
-def _suite(experiment: str, tasks: tuple[str, ...], seeds: tuple[int, ...], base: CodesignConfig) -> CodesignSuite:
-    return CodesignSuite(experiment, tasks, EXPERIMENTS[experiment], seeds, base)
+def _suite(
+    experiment: str,
+    tasks: tuple[str, ...],
+    seeds: tuple[int, ...],
+    base: CodesignConfig,
+    arms: tuple[str, ...] | None = None,
+) -> CodesignSuite:
+    return CodesignSuite(experiment, tasks, arms or EXPERIMENTS[experiment], seeds, base)
 
 
 _SMALL = CodesignConfig(
-    population=6, budget=1000, max_env_steps=600_000, finetune_steps=4_096, ppo=_body_budget(30_000)
+    population=6, budget=1000, max_env_steps=400_000, finetune_steps=4_096, ppo=_body_budget(25_000)
 )
+_SHORTCUTS = {"inherit": True, "rungs": (0.4,), "keep": (0.5,)}  # policy inheritance and successive halving
 _MEDIUM = replace(
     _SMALL, population=12, max_env_steps=10_000_000, finetune_steps=10_000, ppo=_body_budget(200_000, num_worlds=32)
 )
@@ -131,6 +138,9 @@ _QUICK = replace(_SMALL, max_env_steps=150_000, ppo=_body_budget(10_000))
 PRESETS: Mapping[str, CodesignSuite] = {
     "reactive-quick": _suite("B", ("AreaMaximizer-v0",), (0,), _QUICK),
     "reactive-small": _suite("B", ("AreaMaximizer-v0", "DownStepper-v0"), (0, 1, 2), _SMALL),
+    "reactive-shortcuts": _suite(
+        "B", ("AreaMaximizer-v0", "DownStepper-v0"), (0, 1, 2), replace(_SMALL, **_SHORTCUTS), ("reactive",)
+    ),
     "reactive-medium": _suite("B", ("AreaMaximizer-v0", "DownStepper-v0"), (0, 1, 2), _MEDIUM),
     "reactive-paper": _suite("B", tuple(PAPER), (0, 1, 2), _PAPER),
     "invariant-quick": _suite("C", ("BridgeWalker-v0",), (0,), _QUICK),
