@@ -6,6 +6,7 @@ import io
 import re
 import sys
 import types
+from dataclasses import replace
 from importlib.metadata import entry_points
 from itertools import pairwise
 from pathlib import Path
@@ -21,10 +22,14 @@ FENCE = re.compile(r"^```(?P<info>.+)\n(?P<content>(?:.*\n)*?)```$", re.MULTILIN
 OUTPUT = 'text title="Output"'
 KINDS = {"python", "sh", OUTPUT}  # python runs, sh is for a terminal
 SMALLER = {  # budgets of the pages, and those of the tests
-    "total_steps=200_000, eval_worlds": "total_steps=64, num_worlds=16, rollout_steps=4, eval_worlds",
+    "total_steps=200_000": "total_steps=64, num_worlds=16, rollout_steps=4",
+    "total_steps=50_000": "total_steps=64, num_worlds=16, rollout_steps=4",
+    "total_steps=100_000, num_worlds=16": "total_steps=32, num_worlds=4, rollout_steps=8, eval_interval=0",
+    "population=8, budget=32": "population=2, budget=2, search=SearchConfig(rounds=1)",
     "total_steps=500_000, num_worlds=64": "total_steps=64, num_worlds=16, rollout_steps=4",
     "total_timesteps=100_000": "total_timesteps=512",
 }
+SHORT = {"codesign", "learning"}  # pages that play many whole episodes; here they are 25 env-steps long
 
 NOT_SHOWN = {
     "population_env",  # PopulationEnv
@@ -66,6 +71,8 @@ def test_code_runs_and_prints_what_is_shown(page, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     module = types.ModuleType("page")  # dataclasses look their module up
     monkeypatch.setitem(sys.modules, "page", module)
+    if page in SHORT:
+        task_package._REGISTRY["Walker-v0"] = replace(task_package.tasks["Walker-v0"], time_limit=25)
     for number, (code, shown) in enumerate(blocks_of(page)):
         for large, small in SMALLER.items():
             code = code.replace(large, small)
@@ -77,7 +84,17 @@ def test_code_runs_and_prints_what_is_shown(page, tmp_path, monkeypatch):
 
 
 def test_pages_with_code_are_these():
-    expected = {"index", "concepts", "custom-tasks", "gymnasium", "pettingzoo", "tasks", "torchrl"}
+    expected = {
+        "codesign",
+        "concepts",
+        "custom-tasks",
+        "gymnasium",
+        "index",
+        "learning",
+        "pettingzoo",
+        "tasks",
+        "torchrl",
+    }
     assert expected <= set(WITH_CODE)
 
 
@@ -122,9 +139,13 @@ def test_commands_of_the_pages_exist(capsys):
     main = script.load()
     text = "".join(PAGES.values()) + (ROOT / "README.md").read_text(encoding="utf-8")
     named = set(re.findall(r"(?:python -m evogymcm|^evogymcm|`evogymcm) (\w+)", text, re.MULTILINE))
-    assert {"tasks", "warmup", "watch"} <= named
+    assert {"codesign", "report", "tasks", "train", "warmup", "watch"} <= named
+    lines = re.findall(r"(?:python -m evogymcm|^evogymcm|`evogymcm) (\w+)([^#`\n]*)", text, re.MULTILINE)
     for command in named:
         with pytest.raises(SystemExit) as stop:
             main([command, "--help"])
         assert stop.value.code == 0, command
-        assert f"evogymcm {command}" in capsys.readouterr().out
+        shown = capsys.readouterr().out
+        assert f"evogymcm {command}" in shown
+        options = {option for name, rest in lines if name == command for option in re.findall(r"--[\w.-]+", rest)}
+        assert all(re.search(rf"(?<![\w-]){re.escape(option)}(?![\w.-])", shown) for option in options), options

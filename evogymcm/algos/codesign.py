@@ -35,7 +35,17 @@ _STATE = "codesign"
 
 @dataclass(frozen=True)
 class SearchConfig:
-    """Material local search, see `MaterialSearch`; the defaults are those of EvoGymCM's reference code."""
+    """Material local search, see `MaterialSearch`; the defaults are those of EvoGymCM's reference code.
+
+    Attributes:
+        rounds: proposals of each survivor, one after another.
+        candidates: proposals of each survivor in a round, evaluated together.
+        probability: of a voxel to be changed in a proposal.
+        sigma: standard deviation of its noise; with CMA-ES, the initial step in the logarithm of stiffness.
+        acceptance: "reference" (gains of 2 % or more) or "paper" (any gain).
+        noise: "multiplicative" (reference code) or "additive" (paper).
+        proposal: "hill-climbing" or "cma" (extra).
+    """
 
     rounds: int = 20
     candidates: int = 1
@@ -57,8 +67,8 @@ class CodesignConfig:
         method: "ga" (EvoGym's genetic algorithm), "random" search, or "qd" (a quality-diversity archive, extra).
         population: P, bodies in a generation.
         budget: M, bodies trained in all.
-        max_env_steps: simulated env-steps of all kinds after which the run ends (with the phase that it is in); None
-            for no limit but the budget.
+        max_env_steps: simulated env-steps of all kinds after which the run ends (with the generation that it is in);
+            None for no limit but the budget.
         mutation_rate: probability that a cell of a child is drawn anew.
         attempts: at a valid mutant, before another parent is drawn.
         inherit: whether a child starts from its parent's controller instead of a fresh one.

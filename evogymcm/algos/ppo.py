@@ -66,9 +66,9 @@ class PPOConfig:
         final_std: the most exploration at the end; the limit falls geometrically from `initial_std`. A policy that has
             only ever acted with much noise may get stuck without it.
         schedule: which part of the schedules of learning rate and exploration the run covers: (0, 1) is all of it.
-        noise_correlation: of exploration noise, from one env-step to the next. Correlated noise (Hollenstein et al.,
-            2024) moves a body further than white noise, whose pushes cancel each other; each step's noise by itself
-            has the policy's distribution, which is all that the likelihood ratios look at.
+        noise_correlation: of exploration noise, from one env-step to the next. Correlated noise moves a body further
+            than white noise, whose pushes cancel each other (Hollenstein et al., 2024); each step's noise by itself has
+            the policy's distribution, which is all that the likelihood ratios look at.
         eval_interval: env-steps between evaluations; 0 for only the untrained and the final policy.
         eval_worlds: worlds in an evaluation; None for one of each design.
         seed: of weights, exploration and environments.

@@ -4,10 +4,19 @@ import argparse
 import time
 from typing import Any
 
+_DESCRIPTION = """Compiles the simulator (about 20 s) and keeps it on disk. Without it the first simulation does
+the same; where the machine code is there already, this takes a moment."""
+
 
 def add_parser(subparsers: Any) -> None:
     """Adds the command to a parser."""
-    parser = subparsers.add_parser("warmup", help="compile the simulator once and keep it on disk")
+    parser = subparsers.add_parser(
+        "warmup",
+        help="compile the simulator once and keep it on disk",
+        description=_DESCRIPTION,
+        epilog="examples:\n  evogymcm warmup",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
     parser.set_defaults(run=run)
 
 

@@ -2,33 +2,59 @@
 
 import argparse
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+from evogymcm.commands._options import default_body, read_stiffness
 
 if TYPE_CHECKING:  # numba is loaded when the command runs, not for its help
     import numpy as np
 
+    from evogymcm.body import Body
+    from evogymcm.commands._policies import Control
     from evogymcm.envs.core import TaskEngine
     from evogymcm.envs.render import Renderer
 
-    Control = Callable[[TaskEngine], tuple[np.ndarray, np.ndarray | None]]
-
-_STANDARD_BODY = "HHHHH/HHHHH/HH.HH/VV.VV/VV.VV"
 _MATERIALS = ("reactive", "invariant")
+_EXAMPLES = """examples:
+  evogymcm watch Walker-v0 --body Walk_Bot
+  evogymcm watch Walker-v0 --body HHH/V.V --material invariant --stiffness 2,2,2/0.5,1,0.5 --view stiffness
+  evogymcm watch Walker-v0 --policy runs/first --out walk.mp4
+  evogymcm watch BridgeWalker-v0 --policy runs/first --body HHH/V.V HHHH/V..V    # also what it has never seen"""
 
 
 def add_parser(subparsers: Any) -> None:
     """Adds the command to a parser."""
-    parser = subparsers.add_parser("watch", help="show robots at work, in a window or as a video")
+    parser = subparsers.add_parser(
+        "watch",
+        help="show robots at work, in a window or as a video",
+        description="Shows an episode, in a window or as a video, and prints the scores.",
+        epilog=_EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
     parser.add_argument("task", help="such as Walker-v0; `evogymcm tasks` lists them")
     parser.add_argument(
         "--body",
         nargs="+",
-        help="rows of voxels (HHH/S.R) or a robot's name; several stand side by side; default: the task's own robot",
+        help="rows of voxels (HHH/S.R) or a robot's name; several stand side by side; default: the policy's, without "
+        "one the task's own robot",
     )
     parser.add_argument("--material", choices=_MATERIALS, help="default: the policy's, without one reactive")
-    parser.add_argument("--policy", type=Path, metavar="RUN", help="a training run's folder; default: a sine wave")
+    parser.add_argument(
+        "--stiffness",
+        nargs="+",
+        default=(),
+        metavar="FIELD",
+        help="invariant only: a number, or numbers in rows like the body's (2,2,2/0.5,1,0.5); one for all bodies or "
+        "one for each; default: the policy's where the bodies are its own, else 1",
+    )
+    parser.add_argument(
+        "--policy",
+        type=Path,
+        metavar="RUN",
+        help="folder of a training run (its last policy) or of co-design (its best design); default: a sine wave",
+    )
     parser.add_argument(
         "--out",
         type=Path,
@@ -52,20 +78,9 @@ def run(args: argparse.Namespace) -> int:
     for name in ("steps", "every"):
         if getattr(args, name) is not None and getattr(args, name) < 1:
             raise ValueError(f"{name}: got {getattr(args, name)}, at least 1 is needed")
-    from evogymcm import robot_tasks
-    from evogymcm.envs.core import TaskEngine
-    from evogymcm.envs.gaits import sine_gait
+    engine, control = _engine(args)
     from evogymcm.envs.render import Renderer
 
-    control: Control
-    if args.policy is None:
-        control, material = sine_gait, args.material or "reactive"
-    else:
-        control, material = _load_policy(args.policy)
-        if args.material not in (None, material):
-            raise ValueError(f"material: got {args.material!r}, the policy was trained with {material!r}")
-    own = next((robot for robot, task in robot_tasks.items() if task == args.task), _STANDARD_BODY)
-    engine = TaskEngine(args.task, args.body or [own], material=material, seed=0, with_voxels=args.policy is not None)
     try:
         renderer = Renderer(engine, args.width, args.height, args.view)
         _show(_pictures(engine, control, renderer, args.steps or engine.task.time_limit, args.every), engine, args)
@@ -75,6 +90,29 @@ def run(args: argparse.Namespace) -> int:
     for world, body in enumerate(engine.bodies):
         print(f"{body.text}: {engine.length[world]} env-steps, score {engine.score[world]:.3f}")
     return 0
+
+
+def _engine(args: argparse.Namespace) -> "tuple[TaskEngine, Control]":
+    """Returns the worlds and what drives them."""
+    from evogymcm.commands._policies import control_of, load_trained
+    from evogymcm.envs.core import TaskEngine
+    from evogymcm.envs.gaits import sine_gait
+
+    if args.policy is None:
+        shown = args.body or [default_body(args.task)]
+        fields, material = read_stiffness(args.stiffness, shown), args.material or "reactive"
+        return TaskEngine(args.task, shown, material=material, stiffness=fields, seed=0, with_voxels=False), sine_gait
+    trained = load_trained(args.policy)
+    if args.material not in (None, trained.material):
+        raise ValueError(f"material: got {args.material!r}, the policy was trained with {trained.material!r}")
+    own = trained.bodies or [default_body(args.task)]
+    bodies: list[str | Body] = args.body or own
+    fields = read_stiffness(args.stiffness, bodies)
+    if fields is None and not args.body:
+        fields = trained.stiffness
+    material, edge_rule = trained.material, trained.edge_rule
+    engine = TaskEngine(args.task, bodies, material=material, stiffness=fields, edge_rule=edge_rule, seed=0)
+    return engine, control_of(trained.policy, engine)
 
 
 def _pictures(
@@ -113,38 +151,3 @@ def _show(pictures: "Iterator[np.ndarray]", engine: "TaskEngine", args: argparse
     else:
         write_video(out, pictures, fps)
     print(f"wrote {out}")
-
-
-def _load_policy(run: Path) -> "tuple[Control, str]":
-    """Returns the last policy of a training run as deterministic control, and its material.
-
-    Raises:
-        ValueError: There is no policy.
-    """
-    import numpy as np
-    import torch
-    from tensordict import TensorDict
-    from torchrl.envs import ExplorationType, set_exploration_type
-
-    from evogymcm.algos.actor import load_actor
-
-    path = next((path for path in (run / "final.pt", run / "best.pt", run) if path.is_file()), None)
-    if path is None:
-        raise ValueError(f"policy: {run} has neither final.pt nor best.pt")
-    actor = load_actor(torch.load(path, weights_only=True))
-    material = "reactive" if "stiffness" in actor.ranges else "invariant"
-
-    def control(engine: "TaskEngine") -> "tuple[np.ndarray, np.ndarray | None]":
-        seen = {
-            "voxels": engine.voxels,
-            "types": engine.types,
-            "task": engine.features.astype(np.float32),
-            "occupancy": engine.occupancy,
-            "actuators": engine.actuators,
-        }
-        td = TensorDict({key: torch.from_numpy(value) for key, value in seen.items()}, [engine.num_worlds])
-        with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
-            action = actor(td)["action"]
-        return action["actuation"].numpy(), action["stiffness"].numpy() if material == "reactive" else None
-
-    return control, material

@@ -1,0 +1,137 @@
+"""What the commands share: bodies and stiffness as text, run folders, loggers, the progress bar."""
+
+import importlib.util
+import shlex
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+if TYPE_CHECKING:  # both load torch or numba, which help texts do without
+    import numpy as np
+    from torchrl.record.loggers import Logger
+
+    from evogymcm.algos.runs import RunFolder
+    from evogymcm.body import Body
+
+STANDARD_BODY = "HHHHH/HHHHH/HH.HH/VV.VV/VV.VV"
+INTERRUPTED = 130  # exit status after Ctrl-C, as shells have it
+
+LoggerName = Literal["none", "csv", "tensorboard", "wandb"]
+
+
+def default_body(task: str) -> str:
+    """Returns the name of the EvoGymCM paper's robot for a task, the standard body for a task without one."""
+    from evogymcm import robot_tasks
+
+    return next((robot for robot, own in robot_tasks.items() if own == task), STANDARD_BODY)
+
+
+def read_stiffness(texts: Sequence[str], bodies: "Sequence[str | Body]") -> "list[np.ndarray] | None":
+    """Returns a field for each body; None where nothing is given.
+
+    Args:
+        texts: one for all bodies or one for each: a number, or numbers separated by ',' in rows separated by '/'.
+        bodies: bodies, rows of voxels or names.
+
+    Raises:
+        ValueError: A text is no field of its body's shape in [0.5, 2], or there are not as many as bodies.
+    """
+    if not texts:
+        return None
+    import numpy as np
+
+    from evogymcm.body import as_body, check_stiffness
+
+    if len(texts) not in (1, len(bodies)):
+        raise ValueError(f"stiffness: got {len(texts)} for {len(bodies)} bodies, expected 1 or {len(bodies)}")
+    fields = []
+    for text, spec in zip(texts if len(texts) > 1 else list(texts) * len(bodies), bodies, strict=True):
+        try:
+            rows = [[float(number) for number in row.split(",")] for row in text.split("/")]
+        except ValueError:
+            raise ValueError(f"stiffness: got {text!r}, expected a number or rows such as 2,2,2/0.5,1,0.5") from None
+        if len({len(row) for row in rows}) > 1:
+            raise ValueError(f"stiffness: got {text!r}, whose rows differ in length")
+        body = as_body(spec)
+        field = np.array(rows)
+        fields.append(check_stiffness(np.full(body.shape, field.item()) if field.size == 1 else field, body))
+    return fields
+
+
+def write_stiffness(field: "np.ndarray", occupancy: "np.ndarray") -> list[str]:
+    """Returns the rows of a field for reading, with two decimals, and '.' where there is no voxel."""
+    rows = zip(field, occupancy, strict=True)
+    return [
+        " ".join(f"{value:4.2f}" if is_there else "   ." for value, is_there in zip(*row, strict=True)) for row in rows
+    ]
+
+
+def open_run(path: Path, config: dict[str, Any], *, resume: bool, overwrite: bool) -> "RunFolder":
+    """Opens a run's folder.
+
+    Raises:
+        ValueError: It exists and neither flag is given, both are, or the settings are not those of the run to resume.
+    """
+    from evogymcm.algos.runs import RunFolder
+
+    try:
+        return RunFolder(path, config, resume=resume, overwrite=overwrite)
+    except FileExistsError as error:
+        if not (path / "config.json").is_file():
+            raise ValueError(f"run: {error}; choose another folder (--run)") from None
+        raise ValueError(
+            f"run: {path} exists; go on with it (--resume), replace it (--overwrite) or choose another folder (--run)"
+        ) from None
+
+
+def check_logger(kind: LoggerName) -> None:
+    """Raises an ImportError, naming the extra, where a logger's package is missing."""
+    if kind in ("tensorboard", "wandb") and importlib.util.find_spec(kind) is None:
+        raise ImportError(f"logger: {kind!r} needs the package {kind}: pip install evogymcm[{kind}]")
+
+
+def make_logger(kind: LoggerName, folder: Path) -> "Logger | None":
+    """Returns TorchRL's logger that writes into `folder`, None for "none"."""
+    if kind == "none":
+        return None
+    from torchrl.record.loggers import get_logger
+
+    name = folder.name if kind == "wandb" else kind  # W&B shows it; the others name a folder by it
+    return get_logger(kind, str(folder), name, wandb_kwargs={"project": "evogymcm"})
+
+
+def how_to_resume(command: str, arguments: Sequence[str]) -> str:
+    """Returns the command line that goes on with a stopped run."""
+    kept = [argument for argument in arguments if argument not in ("--resume", "--overwrite")]
+    return shlex.join(["evogymcm", command, *kept, "--resume"])
+
+
+class Bar:
+    """A progress bar of env-steps on stderr; rate and time left are those of this sitting.
+
+    Args:
+        total: env-steps of the whole run, those of earlier sittings included.
+    """
+
+    def __init__(self, total: int) -> None:
+        self.total = total
+        self._bar: Any = None
+
+    def show(self, done: int, numbers: Mapping[str, str]) -> None:
+        """Moves the bar to `done` env-steps, with numbers beside it."""
+        if self._bar is None:
+            from tqdm import tqdm
+
+            pause = 0.1 if sys.stderr.isatty() else 30.0  # seconds; a log file needs few lines
+            options = {"unit": " env-steps", "unit_scale": True, "dynamic_ncols": True, "mininterval": pause}
+            self._bar = tqdm(total=max(self.total, done), initial=done, file=sys.stderr, **options)
+        self._bar.set_postfix(numbers, refresh=False)
+        self._bar.update(done - self._bar.n)
+
+    def __enter__(self) -> "Bar":
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        if self._bar is not None:
+            self._bar.close()

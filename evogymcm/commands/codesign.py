@@ -1,0 +1,242 @@
+"""`evogymcm codesign`: evolve bodies together with their material and control, kept in a run folder."""
+
+import argparse
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from evogymcm.commands._options import INTERRUPTED, Bar, how_to_resume, open_run, write_stiffness
+
+if TYPE_CHECKING:
+    from evogymcm.algos.codesign import CodesignConfig, CodesignProgress, CodesignResult
+    from evogymcm.algos.ppo import PPOConfig
+
+_DESCRIPTION = """Evolves bodies together with their material and control, and keeps all of it in a run folder.
+
+arms:
+  reactive      bodies evolve, and their policies set stiffness
+  fixed         the same with stiffness 1
+  invariant     stiffness belongs to the design and is searched, and survivors are fine-tuned
+  prescribed    the same with one given stiffness (--prescribed), without search
+
+The --ppo options are those of one body. Ctrl-C stops at the end of the present update; --resume goes on from there.
+
+examples:
+  evogymcm codesign Walker-v0 --arm reactive --population 8 --budget 32
+  evogymcm codesign BridgeWalker-v0 --arm invariant --max-env-steps 5000000 --search.rounds 10
+  evogymcm codesign Walker-v0 --arm fixed --rungs 0.25 0.5 --keep 0.5 0.5 --ppo.total-steps 200000"""
+
+
+@dataclass(frozen=True)
+class Cost:
+    """The most env-steps that a run can take, by what they are for."""
+
+    training: int
+    scoring: int
+    search: int
+    finetuning: int
+
+    @property
+    def total(self) -> int:
+        """All of them."""
+        return self.training + self.scoring + self.search + self.finetuning
+
+
+def add_parser(subparsers: Any) -> None:
+    """Adds the command to a parser; its options are tyro's, see `options`."""
+    parser = subparsers.add_parser("codesign", help="evolve bodies, materials and control together", add_help=False)
+    parser.set_defaults(run=run, takes_rest=True)
+
+
+def options() -> type:
+    """Returns the dataclass of the command line; making it loads torch."""
+    import tyro
+    from tyro.conf import arg
+
+    from evogymcm.algos.codesign import CodesignConfig
+
+    @dataclass(frozen=True)
+    class Settings(CodesignConfig):  # with the task in front, and choices where tyro can name them
+        task: Annotated[tyro.conf.Positional[str], arg(metavar="TASK")] = tyro.MISSING
+        arm: Literal["reactive", "fixed", "invariant", "prescribed"] = "reactive"
+        method: Literal["ga", "random", "qd"] = "ga"
+        edge_rule: Literal["mean_factor", "mean_stiffness"] = "mean_factor"
+
+    Settings.__doc__ = CodesignConfig.__doc__  # where tyro finds what the fields mean
+
+    @dataclass(frozen=True)
+    class CodesignOptions:
+        """Options of the command.
+
+        Attributes:
+            config: settings of the run.
+            run: folder of the run.
+            resume: go on with the run in the folder.
+            overwrite: replace the run in the folder.
+        """
+
+        config: Annotated[Settings, arg(name="")]
+        run: Annotated[
+            Path | None, arg(metavar="FOLDER", help_behavior_hint="(default: runs/TASK-codesign-ARM-seedSEED)")
+        ] = None
+        resume: bool = False
+        overwrite: bool = False
+
+    return CodesignOptions
+
+
+def run(args: argparse.Namespace) -> int:
+    """Evolves and returns the exit status.
+
+    Raises:
+        ValueError: An argument cannot be used.
+        ImportError: An optional package is missing.
+    """
+    import tyro
+
+    given: Any = tyro.cli(
+        options(),
+        prog="evogymcm codesign",
+        description=_DESCRIPTION,
+        args=args.rest,
+        config=(tyro.conf.FlagCreatePairsOff,),
+    )
+    return _codesign(given, args.rest)
+
+
+def _codesign(given: Any, arguments: Sequence[str]) -> int:
+    from evogymcm.algos.codesign import codesign
+
+    config = given.config
+    check(config)
+    path = given.run or Path("runs") / f"{config.task}-codesign-{config.arm}-seed{config.seed}"
+    folder = open_run(path, asdict(config), resume=given.resume, overwrite=given.overwrite)
+    cost = cost_of(config)
+    limit = cost.total if config.max_env_steps is None else min(cost.total, config.max_env_steps)
+    parts = ", ".join(f"{name} {steps:,}" for name, steps in asdict(cost).items() if steps)
+    print(f"{config.budget} bodies, {config.arm} arm: at most {cost.total:,} env-steps ({parts})", flush=True)
+    if limit < cost.total:
+        print(f"ends with the generation in which {limit:,} env-steps are reached", flush=True)
+    with Bar(limit) as bar:
+        result = codesign(config, run=folder, progress=lambda state: _show(bar, state))
+        if result.finished and result.best is not None:  # with what scoring has done since the last update
+            bar.show(result.env_steps, {"best": f"{result.best.fitness:.3f}"})
+    folder.write_json("result.json", _record(config, result))
+    if result.best is not None:
+        _print_best(config, result, path)
+    if result.finished:
+        return 0
+    print(f"stopped after {result.env_steps:,} env-steps; to go on:\n  {how_to_resume('codesign', arguments)}")
+    return INTERRUPTED
+
+
+def check(config: "CodesignConfig") -> None:
+    """Raises a ValueError for what would fail only later: the task, bodies that do not fit, the local search."""
+    import numpy as np
+
+    from evogymcm.algos.designs import Design, Individual
+    from evogymcm.algos.material_search import MaterialSearch
+    from evogymcm.body import H_ACT, Body
+
+    design = Design(Body(np.full(config.shape, H_ACT)))
+    config.make_arena().make([design])
+    if config.arm == "invariant":
+        MaterialSearch([Individual(0, design, fitness=0.0)], seed=0, **asdict(config.search))
+
+
+def _generations(config: "CodesignConfig") -> Iterator[tuple[int, int]]:
+    """Yields the new bodies of each generation, and the most that survive it and are worked on."""
+    from evogymcm.algos.evolution import survivor_count
+
+    done = survivors = 0
+    while done < config.budget:
+        new = min(config.population - survivors, config.budget - done)
+        done += new
+        if config.method == "ga":
+            survivors = survivor_count(config.population, config.budget, done)
+        yield new, {"ga": survivors, "random": 0, "qd": new}[config.method]
+
+
+def _training(ppo: "PPOConfig", bodies: int, limit: int) -> tuple[int, int]:
+    """Returns the env-steps of training so many bodies, and those of its evaluations and of scoring the results."""
+    frames = ppo.frames_per_update
+    updates = -(-ppo.total_steps // frames)
+    between = min(updates - 1, (updates - 1) * frames // ppo.eval_interval) if ppo.eval_interval else 0
+    evaluations = between + 2  # those of the untrained and the final policy
+    return bodies * updates * frames, bodies * limit * evaluations
+
+
+def cost_of(config: "CodesignConfig") -> Cost:
+    """Returns what a run takes where no episode ends before its time limit and no max_env_steps ends the run."""
+    from dataclasses import replace
+    from itertools import pairwise
+
+    from evogymcm import tasks
+
+    limit = tasks[config.task].time_limit
+    halving = config.halving()
+    training = scoring = search = finetuning = 0
+    for new, survivors in _generations(config):
+        going = new
+        scoring += new * limit
+        for rung, (begin, end) in enumerate(pairwise((0.0, *halving.rungs, 1.0))):
+            share = replace(config.ppo, total_steps=max(1, round(config.ppo.total_steps * (end - begin))))
+            steps, evaluations = _training(share, going, limit)
+            training, scoring = training + steps, scoring + evaluations
+            if rung < len(halving.rungs):
+                going = halving.count(rung, going)
+        if config.arm == "invariant" and survivors:
+            search += config.search.rounds * (config.search.candidates + 1) * survivors * limit
+            steps, evaluations = _training(config.finetuning(), survivors, limit)
+            finetuning, scoring = finetuning + steps, scoring + evaluations + survivors * limit
+    return Cost(training, scoring, search, finetuning)
+
+
+def _show(bar: Bar, state: "CodesignProgress") -> None:
+    numbers = {"generation": str(state.generation), "phase": state.phase, "bodies": str(state.n_designs)}
+    if state.best is not None:
+        numbers["best"] = f"{state.best:.3f}"
+    bar.show(state.env_steps, numbers)
+
+
+def _record(config: "CodesignConfig", result: "CodesignResult") -> dict[str, Any]:
+    """Returns the numbers of a run, named as in the benchmark suite's records."""
+    from evogymcm import __version__
+
+    return {
+        "evogymcm": __version__,
+        "task": config.task,
+        "arm": config.arm,
+        "seed": config.seed,
+        "finished": result.finished,
+        "env_steps": result.env_steps,
+        "bodies": len({row["index"] for row in result.rows}),
+        "best": None if result.best is None else result.best.record(),
+        "curve": sorted({row["env_steps"]: row["best"] for row in result.rows}.items()),
+    }
+
+
+def _print_best(config: "CodesignConfig", result: "CodesignResult", path: Path) -> None:
+    """Prints the best design with its score, had again in a fresh world."""
+    import numpy as np
+
+    from evogymcm.algos.generation import score_alone
+    from evogymcm.commands._policies import simulated
+
+    assert result.best is not None
+    assert result.policy is not None
+    design = simulated(result.best.design, config.arm, config.prescribed)
+    alone = score_alone(config.make_arena(), [design], [result.policy])
+    score, ceiling = alone.score[0], alone.ceiling[0]
+    bound = "" if np.isnan(ceiling) else f" of at most {ceiling:.2f} ({score / ceiling:.1%})"
+    print(f"best design, number {result.best.index} (generation {result.best.generation}): {design.body.text}")
+    if config.arm == "reactive":
+        print("stiffness: set by the policy in every step")
+    else:
+        print("\n".join(["stiffness:", *write_stiffness(design.field, design.body.occupancy)]))
+    print(f"score   {score:.3f}{bound}: its stored policy, deterministic, in a fresh world")
+    print(f"return  {alone.returns[0]:.3f}")
+    print(f"run     {path} ({result.env_steps:,} env-steps)")
+    print(f"watch   evogymcm watch {config.task} --policy {path}")
+    print(f"report  evogymcm report {path}")

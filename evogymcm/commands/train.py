@@ -1,0 +1,189 @@
+"""`evogymcm train`: a policy for one or several bodies, kept in a run folder."""
+
+import argparse
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from evogymcm.commands._options import (
+    INTERRUPTED,
+    Bar,
+    LoggerName,
+    check_logger,
+    default_body,
+    how_to_resume,
+    make_logger,
+    open_run,
+    read_stiffness,
+)
+
+if TYPE_CHECKING:
+    from evogymcm.algos import PPOConfig, Progress, TrainResult
+
+_DESCRIPTION = """Trains a policy with PPO and keeps it in a run folder.
+
+Ctrl-C stops at the end of the present update; --resume goes on from there.
+
+examples:
+  evogymcm train Walker-v0 --body Walk_Bot --total-steps 200000
+  evogymcm train Walker-v0 --body HHH/V.V --material invariant --stiffness 2,2,2/0.5,1,0.5
+  evogymcm train Walker-v0 --body Walk_Bot --run runs/first --logger csv
+  evogymcm train Walker-v0 --body Walk_Bot --run runs/first --logger csv --resume"""
+
+
+def add_parser(subparsers: Any) -> None:
+    """Adds the command to a parser; its options are tyro's, see `options`."""
+    parser = subparsers.add_parser("train", help="train a policy for given bodies", add_help=False)
+    parser.set_defaults(run=run, takes_rest=True)
+
+
+def options() -> type:
+    """Returns the dataclass of the command line; making it loads torch."""
+    import tyro
+    from tyro.conf import arg
+
+    from evogymcm.algos import PPOConfig
+
+    @dataclass(frozen=True)
+    class TrainOptions:
+        """Options of the command.
+
+        Attributes:
+            task: such as Walker-v0; `evogymcm tasks` lists them.
+            body: rows of voxels (HHH/S.R) or a robot's name; several learn side by side.
+            material: whether the policy sets stiffness too ("reactive"), or stiffness belongs to the body.
+            stiffness: with --material invariant, a number, or numbers in rows like the body's (2,2,2/0.5,1,0.5); one
+                for all bodies or one for each.
+            edge_rule: how stiffness acts on shared edges.
+            run: folder of the run.
+            resume: go on with the run in the folder.
+            overwrite: replace the run in the folder.
+            logger: also write every number with one of TorchRL's loggers; csv and tensorboard write into the run.
+            num_threads: threads of the simulator; None for all cores. Results do not depend on it.
+            ppo: settings of PPO.
+        """
+
+        task: Annotated[tyro.conf.Positional[str], arg(metavar="TASK")]
+        body: Annotated[tuple[str, ...], arg(metavar="BODY", help_behavior_hint="(default: the task's own robot)")] = ()
+        material: Literal["reactive", "invariant"] = "reactive"
+        stiffness: Annotated[tuple[str, ...], arg(metavar="FIELD", help_behavior_hint="(default: 1)")] = ()
+        edge_rule: Literal["mean_factor", "mean_stiffness"] = "mean_factor"
+        run: Annotated[
+            Path | None, arg(metavar="FOLDER", help_behavior_hint="(default: runs/TASK-MATERIAL-seedSEED)")
+        ] = None
+        resume: bool = False
+        overwrite: bool = False
+        logger: LoggerName = "none"
+        num_threads: int | None = None
+        ppo: Annotated[PPOConfig, arg(name="")] = field(default_factory=PPOConfig)
+
+    return TrainOptions
+
+
+def run(args: argparse.Namespace) -> int:
+    """Trains and returns the exit status.
+
+    Raises:
+        ValueError: An argument cannot be used.
+        ImportError: A logger's package is missing.
+    """
+    import tyro
+
+    given: Any = tyro.cli(
+        options(),
+        prog="evogymcm train",
+        description=_DESCRIPTION,
+        args=args.rest,
+        config=(tyro.conf.FlagCreatePairsOff,),
+    )
+    return _train(given, args.rest)
+
+
+def _train(given: Any, arguments: Sequence[str]) -> int:
+    from dataclasses import asdict
+
+    from evogymcm.algos import Trainer, train
+    from evogymcm.envs import SoftRobotEnv
+
+    bodies = list(given.body) or [default_body(given.task)]
+    fields = read_stiffness(given.stiffness, bodies)
+    make_env = partial(
+        SoftRobotEnv,
+        given.task,
+        bodies=bodies,
+        material=given.material,
+        stiffness=fields,
+        edge_rule=given.edge_rule,
+        num_threads=given.num_threads,
+    )
+    config = {
+        "task": given.task,
+        "bodies": bodies,
+        "material": given.material,
+        "stiffness": None if fields is None else [values.tolist() for values in fields],
+        "edge_rule": given.edge_rule,
+        "ppo": asdict(given.ppo),
+    }
+    check_logger(given.logger)
+    Trainer(make_env, given.ppo).close()  # what cannot be trained fails here, before a folder is touched
+    path = given.run or Path("runs") / f"{given.task}-{given.material}-seed{given.ppo.seed}"
+    folder = open_run(path, config, resume=given.resume, overwrite=given.overwrite)
+    logger = make_logger(given.logger, path)
+    with Bar(given.ppo.total_steps) as bar:
+        result = train(make_env, given.ppo, run=folder, progress=partial(_show, bar, {}), logger=logger)
+    folder.write_json("result.json", _record(given.task, bodies, given.ppo, result))
+    if result.final is None:
+        print(f"stopped after {result.env_steps:,} env-steps; to go on:\n  {how_to_resume('train', arguments)}")
+        return INTERRUPTED
+    _print_result(result, given.task, bodies, path)
+    return 0
+
+
+def _show(bar: Bar, latest: dict[str, str], state: "Progress") -> None:
+    """Moves the bar; `latest` keeps the score until the next evaluation."""
+    if "score" in state.row:
+        latest["score"] = f"{state.row['score']:.3f}"
+    bar.show(state.env_steps, latest)
+
+
+def _record(task: str, bodies: list[str], ppo: "PPOConfig", result: "TrainResult") -> dict[str, Any]:
+    """Returns the numbers of a run, named as in the benchmark suite's records."""
+    from evogymcm import __version__
+
+    return {
+        "evogymcm": __version__,
+        "task": task,
+        "seed": ppo.seed,
+        "robot": ", ".join(bodies),
+        "finished": result.finished,
+        "env_steps": result.env_steps,
+        "train_seconds": result.seconds,
+        "untrained": {key: result.rows[0][key] for key in ("score", "return")},
+        "best_score": result.best_score,
+        "final": None if result.final is None else result.final.summary(),
+        "ceiling": None if result.final is None else float(result.final.ceiling.mean()),
+    }
+
+
+def _print_result(result: "TrainResult", task: str, bodies: list[str], path: Path) -> None:
+    import numpy as np
+
+    assert result.final is not None
+    final = result.final
+    for i, body in enumerate(bodies):
+        score, total, ceiling = (
+            values[i :: len(bodies)].mean() for values in (final.score, final.returns, final.ceiling)
+        )
+        bound = "" if np.isnan(ceiling) else f" of at most {ceiling:.2f} ({score / ceiling:.1%})"
+        if len(bodies) > 1:
+            print(body)
+        print(f"score   {score:.3f}{bound}: the final policy, deterministic, in fresh worlds")
+        print(f"return  {total:.3f}")
+    evaluations = sum("score" in row for row in result.rows)
+    over = " (means over the bodies)" if len(bodies) > 1 else ""
+    print(f"best    {result.best_score:.3f}: the largest score of {evaluations} evaluations in training{over}")
+    print(f"run     {path} ({result.env_steps:,} env-steps, {result.seconds:.0f} s)")
+    print(f"watch   evogymcm watch {task} --policy {path}")
+    print(f"report  evogymcm report {path}")

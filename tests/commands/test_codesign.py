@@ -1,0 +1,130 @@
+"""`evogymcm codesign` from end to end, on tiny budgets; the cost that it says before it starts."""
+
+import json
+import re
+import shlex
+import signal
+from dataclasses import asdict
+
+import numpy as np
+import pytest
+
+from evogymcm.__main__ import main
+from evogymcm.algos import PPOConfig
+from evogymcm.algos.codesign import CodesignConfig, SearchConfig, codesign
+from evogymcm.algos.parallel import codesign_in
+from evogymcm.commands import _options
+from evogymcm.commands.codesign import cost_of
+from tests.commands.tools import refused
+
+PPO = ["--ppo.total-steps", "64", "--ppo.num-worlds", "4", "--ppo.rollout-steps", "8", "--ppo.hidden", "8"]
+TINY = ["--shape", "2", "3", "--population", "3", "--budget", "4", "--search.rounds", "2", *PPO]
+SMALL = PPOConfig(total_steps=64, num_worlds=4, rollout_steps=8, hidden=8, eval_interval=32, sharing="independent")
+
+
+@pytest.mark.parametrize("arm", ["reactive", "fixed", "invariant", "prescribed"])
+def test_a_run_from_end_to_end(sprint, arm, capsys, tmp_path):
+    assert main(["codesign", sprint, "--arm", arm, "--prescribed", "1.5", *TINY]) == 0
+    out, err = capsys.readouterr()
+    run = tmp_path / "runs" / f"Sprint-v0-codesign-{arm}-seed0"
+    config, result = (json.loads((run / name).read_text()) for name in ("config.json", "result.json"))
+    assert (config["task"], config["arm"], config["shape"]) == (sprint, arm, [2, 3])
+    assert result["finished"]
+    assert result["bodies"] == 4
+    best = result["best"]
+    assert best["body"] in out
+    assert float(re.search(r"^score +(\S+)", out, re.MULTILINE)[1]) == pytest.approx(best["fitness"], abs=6e-4)
+    said = int(re.search(r"at most ([\d,]+) env-steps", out)[1].replace(",", ""))
+    assert result["env_steps"] <= said
+    if arm != "invariant":  # there, proposals that fall behind are not scored twice
+        assert result["env_steps"] == said
+    assert ("1.50" in out.split("stiffness:")[1]) == (arm == "prescribed")
+    assert f"best={best['fitness']:.3f}" in err
+    pytest.importorskip("matplotlib")
+    main(["watch", sprint, "--policy", str(run), "--width", "64", "--height", "32", "--out", "best.png"])
+    assert f"{best['body']}: 12 env-steps, score {best['fitness']:.3f}" in capsys.readouterr().out
+
+
+def test_a_stopped_run_goes_on_to_the_same_result(sprint, capsys, monkeypatch, tmp_path):
+    command = ["codesign", sprint, "--arm", "invariant", *TINY]
+    main([*command, "--run", "whole"])
+    assert "--overwrite" in refused(capsys, *command, "--run", "whole")
+
+    def interrupt(bar, done, numbers):
+        signal.raise_signal(signal.SIGINT)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(_options.Bar, "show", interrupt)
+        assert main([*command, "--run", "parts"]) == 130
+    again = capsys.readouterr().out.splitlines()[-1].strip()
+    assert again == f"evogymcm {shlex.join(command)} --run parts --resume"
+    assert main(shlex.split(again)[1:]) == 0
+    whole, parts = ((tmp_path / name / "curve.jsonl").read_text() for name in ("whole", "parts"))
+    assert whole == parts
+
+
+def test_a_limit_in_env_steps_ends_the_run(sprint, capsys, tmp_path):
+    assert main(["codesign", sprint, "--arm", "fixed", *TINY, "--max-env-steps", "10", "--run", "run"]) == 0
+    assert "ends with the generation in which 10 env-steps are reached" in capsys.readouterr().out
+    assert json.loads((tmp_path / "run" / "result.json").read_text())["bodies"] == 3  # the first generation
+
+
+def test_nothing_is_touched_where_an_argument_is_bad(sprint, capsys, tmp_path):
+    command = ["codesign", sprint, *TINY]
+    for wrong, message in [
+        (["codesign", "Nope-v0"], "Walker-v0"),
+        ([*command, "--budget", "0"], "budget"),
+        ([*command, "--rungs", "0.5"], "keep"),
+        ([*command, "--ppo.network", "mlp"], "voxel"),
+        (["codesign", "Climber-v0", *TINY, "--shape", "5", "9"], "does not fit"),
+        ([*command, "--arm", "invariant", "--search.noise", "pink"], "multiplicative"),
+        ([*command, "--arm", "invariant", "--search.proposal", "cma"], "at least 2"),
+    ]:
+        assert message in refused(capsys, *wrong)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_run_can_be_gone_on_with_from_python(sprint, tmp_path):
+    main(["codesign", sprint, *TINY, "--run", "run"])
+    config = CodesignConfig(
+        task=sprint,
+        shape=(2, 3),
+        population=3,
+        budget=4,
+        search=SearchConfig(rounds=2),
+        ppo=PPOConfig(
+            total_steps=64,
+            num_worlds=4,
+            rollout_steps=8,
+            hidden=8,
+            minibatch=128,
+            eval_interval=10_000,
+            sharing="independent",
+        ),
+    )
+    assert codesign_in(tmp_path / "run", config).finished
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {},
+        {"arm": "invariant", "search": SearchConfig(rounds=2, candidates=2)},
+        {"rungs": (0.25, 0.5), "keep": (0.5, 0.5)},
+        {"method": "random", "arm": "fixed"},
+        {"ppo": PPOConfig(total_steps=70, num_worlds=4, rollout_steps=8, hidden=8, eval_interval=0, sharing="shared")},
+    ],
+    ids=["plain", "invariant", "halving", "random", "rounded"],
+)
+def test_the_cost_is_what_a_run_takes(sprint, options):
+    config = CodesignConfig(**{"task": sprint, "shape": (2, 3), "population": 4, "budget": 7, "ppo": SMALL} | options)
+    cost, result = cost_of(config), codesign(config)
+    if config.arm != "invariant":
+        assert cost.total == result.env_steps
+        assert cost.search == cost.finetuning == 0
+        return
+    assert result.env_steps <= cost.total
+    searched = [row for row in result.rows if row["event"] == "search"]
+    spared = 12 * config.search.rounds * len(searched)  # at most one scoring by itself a round and survivor
+    assert result.env_steps >= cost.total - spared
+    assert np.isclose(cost.total, sum(asdict(cost).values()))
