@@ -1,0 +1,164 @@
+"""Short animations of designs under their policies, as GIFs within the page."""
+
+import base64
+import pickle
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from evogymcm.report.runs import CodesignRun, Row, TrainingRun
+from evogymcm.report.sources import Arm
+from evogymcm.report.tables import tasks_of
+
+__all__ = ["Scene", "choose_scenes", "gif_uri", "play"]
+
+MOST, LARGEST = 4, 400_000  # animations; bytes of a GIF
+STEPS, EVERY = 250, 4  # env-steps that are shown, and of which every fourth is drawn
+WIDTH, HEIGHT = 360, 200
+
+
+@dataclass(frozen=True)
+class Scene:
+    """What to show.
+
+    Attributes:
+        run: whose policy.
+        arm: its label.
+        policy: the file.
+        design: a record of the body and its stiffness in co-design, None in training.
+    """
+
+    run: TrainingRun | CodesignRun
+    arm: str
+    policy: Path
+    design: Row | None
+
+
+def choose_scenes(arms: Sequence[Arm]) -> tuple[list[Scene], list[str]]:
+    """Returns the best run of each arm and task, up to four, and why others are missing."""
+    scenes, reasons = [], []
+    tasks = dict.fromkeys([*tasks_of(arms, TrainingRun), *tasks_of(arms, CodesignRun)])
+    for task in tasks:
+        for arm in arms:
+            for kind in (TrainingRun, CodesignRun):
+                runs = sorted(arm.of(task, kind), key=_rank, reverse=True)
+                found = [scene_of(run, arm.label) for run in runs[:1]]
+                scenes += [scene for scene in found if isinstance(scene, Scene)]
+                reasons += [reason for reason in found if isinstance(reason, str)]
+    if len(scenes) > MOST:
+        reasons.append(f"Shown are {MOST} of {len(scenes)}, in the order of the tables.")
+    return scenes[:MOST], reasons
+
+
+def _rank(run: TrainingRun | CodesignRun) -> float:
+    if isinstance(run, CodesignRun):
+        return run.curve[-1][1]
+    return next((score for score in (run.final, run.best) if score is not None), -np.inf)
+
+
+def scene_of(run: TrainingRun | CodesignRun, arm: str) -> Scene | str:
+    """Returns the scene of a run's best design, or why there is none."""
+    if run.path is None:
+        return f"{run.name}: the run's folder is missing."
+    if isinstance(run, TrainingRun):
+        policy = next((run.path / name for name in ("final.pt", "best.pt") if (run.path / name).is_file()), None)
+        if run.body is None:
+            return f"{run.name}: the run's settings do not name the one body that it has."
+        return Scene(run, arm, policy, None) if policy else f"{run.name}: there is no saved policy."
+    best = run.ranked()[0]
+    policy = run.path / f"policy-{best['index']:04}.pt"
+    return Scene(run, arm, policy, best) if policy.is_file() else f"{run.name}: there is no {policy.name}."
+
+
+def play(scene: Scene) -> tuple[str, str]:
+    """Returns the GIF as a data URI, and its caption.
+
+    Raises:
+        ImportError: A package of the extra `render` is missing.
+        ValueError: The policy or design cannot be used, or the GIF would be too large.
+    """
+    try:
+        env, actor, material = _stage(scene)
+    except (KeyError, RuntimeError, TypeError, EOFError, pickle.UnpicklingError) as error:
+        raise ValueError(f"{scene.policy} cannot be read: {error}") from error
+    frames = _frames(env, actor)
+    run, engine = scene.run, env.engine
+    which = f"number {scene.design['index']}" if scene.design else f"{scene.policy.stem} policy"
+    seed = "" if run.seed is None else f", seed {run.seed}"
+    caption = f"{run.task}, {scene.arm}{seed}: {which}, {material} stiffness, env-steps 0 to {int(engine.length[0])}"
+    return gif_uri(frames), caption
+
+
+def _stage(scene: Scene) -> tuple[Any, Any, str]:
+    """Returns a world with the design, the policy, and the material setting."""
+    import torch
+
+    from evogymcm.algos.actor import load_actor
+    from evogymcm.algos.designs import Design
+    from evogymcm.algos.generation import Arena
+    from evogymcm.body import as_body
+
+    saved = torch.load(scene.policy, weights_only=True)
+    actor = load_actor(saved, None if saved["form"].get("copies") is None else 0)
+    material = "reactive" if "stiffness" in actor.ranges else "invariant"
+    config = scene.run.config
+    arena = Arena(scene.run.task, material, config.get("edge_rule", "mean_factor"))
+    if scene.design is None:
+        assert isinstance(scene.run, TrainingRun)
+        assert scene.run.body is not None
+        fields = config.get("stiffness")  # one for each body
+        design = Design(as_body(scene.run.body), None if fields is None else fields[0])
+    else:
+        design = Design.from_record({"connections": None, "stiffness": None} | dict(scene.design))
+        if config.get("arm") == "prescribed":
+            field = np.where(design.body.occupancy, config.get("prescribed", 1.0), 1.0)
+            design = Design(design.body, field)
+    env = arena.make([design])
+    actor.columns = env.grid_shape[1]
+    return env, actor, material
+
+
+def _frames(env: Any, actor: Any) -> list[np.ndarray]:
+    """Returns pictures of the episode's first env-steps under deterministic actions."""
+    import torch
+    from torchrl.envs import ExplorationType, set_exploration_type
+
+    from evogymcm.envs.render import Renderer
+
+    renderer = Renderer(env.engine, WIDTH, HEIGHT)
+    with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
+        state = env.reset()
+        frames = [renderer.frame()]
+        for step in range(1, STEPS + 1):
+            state = env.step(actor(state))["next"]
+            is_done = bool(state["done"].item())
+            if step % EVERY == 0 or is_done:
+                frames.append(renderer.frame())
+            if is_done:
+                break
+    return frames
+
+
+def gif_uri(frames: Sequence[np.ndarray], largest: int = LARGEST) -> str:
+    """Returns a GIF as a data URI; every other picture is left out until it is small enough.
+
+    Raises:
+        ValueError: Two pictures are still too large.
+    """
+    from evogymcm.envs.render import FPS
+    from evogymcm.envs.video import write_video
+
+    every = EVERY
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "animation.gif"
+        while True:
+            write_video(path, frames, FPS / every)
+            if path.stat().st_size <= largest:
+                return "data:image/gif;base64," + base64.b64encode(path.read_bytes()).decode("ascii")
+            if len(frames) <= 2:
+                raise ValueError(f"animation: two pictures need more than {largest:,} bytes")
+            frames, every = frames[::2], 2 * every

@@ -1,0 +1,109 @@
+"""Sections on designs: how bodies evolved, and their stiffness fields."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from evogymcm.body import Body
+from evogymcm.report.figures import fitness_by_generation
+from evogymcm.report.lineage import MOST, ancestors, lineage_svg
+from evogymcm.report.parts import Figure, Fold, Note, Part, Picture, Pictures, Section
+from evogymcm.report.pictures import average_field, body_svg, stiffness_ramp, stiffness_svg, types_svg
+from evogymcm.report.runs import CodesignRun, Row
+from evogymcm.report.sources import Arm
+from evogymcm.report.tables import tasks_of
+
+__all__ = ["design_sections"]
+
+_AVERAGED = 5  # best designs of each run in an average
+
+
+def design_sections(arms: Sequence[Arm]) -> list[Section]:
+    """Returns the sections on the designs of co-design runs."""
+    runs = [(arm, run) for task in tasks_of(arms, CodesignRun) for arm in arms for run in arm.of(task, CodesignRun)]
+    runs = [(arm, run) for arm, run in runs if run.individuals]
+    return [_best(runs), _evolution(arms, runs), _stiffness(arms)] if runs else []
+
+
+def _title(arm: Arm, run: CodesignRun) -> str:
+    return f"{run.task}, {arm.label}" + ("" if run.seed is None else f", seed {run.seed}")
+
+
+def _body(row: Row) -> Body:
+    return Body(row["body"], row.get("connections"))
+
+
+def _best(runs: Sequence[tuple[Arm, CodesignRun]]) -> Section:
+    """The best design of each run."""
+    pictures = []
+    for arm, run in runs:
+        best = run.ranked()[0]
+        caption = f"{_title(arm, run)}: {best['fitness']:z.2f}"
+        pictures.append(Picture(body_svg(_body(best)), caption))
+    caption = "The best design of each run with its fitness, the score of its stored policy."
+    return Section("Best designs", [Pictures("", [Picture(types_svg())]), Pictures("", pictures, caption)])
+
+
+def _evolution(arms: Sequence[Arm], runs: Sequence[tuple[Arm, CodesignRun]]) -> Section:
+    """Fitness over generations and family trees."""
+    parts: list[Part] = []
+    for task in tasks_of(arms, CodesignRun):
+        figure = fitness_by_generation(task, arms)
+        if figure.data:
+            text = "Every body that was trained, with its latest fitness; arms are set side by side in a generation."
+            parts.append(Figure(f"{task}, all bodies", figure, text))
+    note = (
+        "Bodies by the generation in which they were proposed, best first, with their latest fitness; lines lead from"
+        f" parents to mutants, and the best body's line is red. At most {MOST} bodies of a generation are shown, and"
+        " those of the line."
+    )
+    trees: list[Part] = []
+    for arm, run in runs:
+        if len(run.individuals) > 1:
+            line = ancestors(run.individuals, run.ranked()[0]["index"])[::-1]
+            text = "Line of the best: " + " → ".join(_step(run.individuals[index]) for index in line) + "."
+            tree = Pictures("", [Picture(lineage_svg(run))], text, is_wide=True)
+            trees.append(Fold(_title(arm, run), [tree], is_open=not trees))
+    return Section("Evolution of designs", [*parts, Note(note), *trees] if trees else parts)
+
+
+def _step(row: Row) -> str:
+    return f"no. {row['index']} ({'not told' if row.get('fitness') is None else format(row['fitness'], 'z.2f')})"
+
+
+def _stiffness(arms: Sequence[Arm]) -> Section:
+    """Fields of the best designs, and their averages; only where they were searched."""
+    parts: list[Part] = []
+    for task in tasks_of(arms, CodesignRun):
+        for arm in arms:
+            runs: list[CodesignRun] = arm.of(task, CodesignRun)
+            if any(row.get("stiffness") is not None for run in runs for row in run.individuals.values()):
+                parts.append(_fields(f"{task}, {arm.label}", runs))
+    if not parts:
+        return Section("Stiffness fields")
+    note = "Factors on the spring constants, from 0.5 to 2. An average is the geometric mean of each cell over the"
+    note += f" {_AVERAGED} best designs of every run, as far as they have a voxel there."
+    return Section("Stiffness fields", [Note(note), Pictures("", [Picture(stiffness_ramp())]), *parts])
+
+
+def _fields(title: str, runs: Sequence[CodesignRun]) -> Pictures:
+    """Maps of the best designs of an arm's runs, and of their averages."""
+    pictures = []
+    chosen: dict[tuple[int, int], list[tuple[Body, np.ndarray]]] = {}  # by shape
+    for run in runs:
+        for rank, row in enumerate(run.ranked()[:_AVERAGED]):
+            body = _body(row)
+            field = np.ones(body.shape) if row.get("stiffness") is None else np.array(row["stiffness"], float)
+            chosen.setdefault(body.shape, []).append((body, field))
+            if rank == 0:
+                seed = "" if run.seed is None else f"seed {run.seed}, "
+                caption = f"{seed}best design (no. {row.get('index', '?')}): {row['fitness']:z.2f}"
+                pictures.append(Picture(stiffness_svg(field, body.occupancy), caption))
+    pictures += [_average(designs) for designs in chosen.values() if len(designs) > 1]
+    return Pictures(title, pictures)
+
+
+def _average(designs: Sequence[tuple[Body, np.ndarray]]) -> Picture:
+    mean, counts = average_field(designs)
+    hints = [f"{counts[row, column]} of {len(designs)} designs" for row, column in np.argwhere(counts)]
+    return Picture(stiffness_svg(mean, counts > 0, hints), f"average over {len(designs)} of the best designs")

@@ -1,0 +1,211 @@
+"""What a report is made from: single runs, suites of runs, or folders of them."""
+
+import json
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from evogymcm.report.runs import (
+    CONFIG,
+    TABLE,
+    CodesignRun,
+    Row,
+    TrainingRun,
+    read_json,
+    read_run,
+    run_folders,
+    run_name,
+)
+
+__all__ = ["AnyRun", "Arm", "Source", "make_arms", "read_source", "read_sources"]
+
+AnyRun = TrainingRun | CodesignRun
+
+_COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#7f7f7f", "#000000")  # Okabe and Ito
+_USUAL = {  # the same for the same arm in every report
+    "control-only": "#0072b2",
+    "fixed": "#0072b2",
+    "prescribed": "#0072b2",
+    "co-optimisation": "#d55e00",
+    "reactive": "#d55e00",
+    "invariant": "#009e73",
+}
+_PLANNED = ("tasks", "arms", "seeds")
+_NO_SETTINGS = ("seed", "task", "tasks", "seeds", "arm", "arms", "num_threads")
+
+
+@dataclass(frozen=True)
+class Source:
+    """One of the folders that a report is made from.
+
+    Attributes:
+        name: how the report calls it.
+        path: the folder.
+        kind: "experiment A", "B" or "C", "training run", "co-design run" or "run folders".
+        runs: in it, those that have not begun left out.
+        planned: number of runs that a suite plans; None for others.
+        results: what a suite's `results.json` holds, empty without.
+        config: the folder's settings.
+    """
+
+    name: str
+    path: Path
+    kind: str
+    runs: tuple[AnyRun, ...]
+    planned: int | None
+    results: Row
+    config: Row
+
+    @property
+    def paper(self) -> dict[tuple[str, str], tuple[float, float | None]]:
+        """The paper's scores, mean and standard deviation, by task and arm, as the suite recorded them."""
+        rows = [row for row in self.results.get("summary") or () if row.get("paper_score") is not None]
+        return {(row["task"], row["arm"]): (row["paper_score"], row.get("paper_std")) for row in rows}
+
+
+@dataclass(frozen=True)
+class Arm:
+    """Runs that differ in task and seed alone, and are shown in one colour."""
+
+    label: str
+    colour: str
+    runs: tuple[AnyRun, ...]
+    paper: Mapping[str, tuple[float, float | None]]  # by task
+
+    def of(self, task: str, kind: type[AnyRun]) -> list[Any]:
+        """Returns the runs of a task and kind."""
+        return [run for run in self.runs if run.task == task and isinstance(run, kind)]
+
+
+def read_sources(paths: Sequence[Path]) -> list[Source]:
+    """Returns what lies in the folders, under names that differ.
+
+    Raises:
+        ValueError: There is no folder, one is given twice, or one holds no run.
+    """
+    if not paths:
+        raise ValueError("runs: got none, at least one run folder is needed")
+    resolved = [path.resolve() for path in paths]
+    twice = sorted({str(path) for path, real in zip(paths, resolved, strict=True) if resolved.count(real) > 1})
+    if twice:
+        raise ValueError(f"runs: {', '.join(twice)} is given more than once")
+    return [read_source(path, name) for path, name in zip(paths, _names(resolved), strict=True)]
+
+
+def _names(paths: Sequence[Path]) -> list[str]:
+    """Returns the ends of the paths, as long as it takes to tell them apart."""
+    for length in range(1, max(len(path.parts) for path in paths) + 1):
+        names = ["/".join(path.parts[-length:]) for path in paths]
+        if len(set(names)) == len(names):
+            break
+    return names
+
+
+def read_source(path: Path, name: str | None = None) -> Source:
+    """Returns what lies in a folder, recognised by its content.
+
+    Raises:
+        ValueError: It is no folder, holds no run, or none that has begun.
+    """
+    if not path.is_dir():
+        raise ValueError(f"runs: {path} is not a folder")
+    name = name or path.resolve().name
+    config: Row = read_json(path / CONFIG) or {}
+    results: Row = read_json(path / "results.json") or {}
+    if (path / TABLE).is_file():
+        run = read_run(path)
+        if run is None:
+            raise ValueError(f"runs: {path} holds a run without any score yet")
+        kind = "co-design run" if isinstance(run, CodesignRun) else "training run"
+        return Source(name, path, kind, (run,), None, results, config)
+    suite: Row = results.get("suite") or config
+    is_suite = bool(results.get("runs")) or set(_PLANNED) <= suite.keys()
+    runs = _runs_inside(path, results, suite)
+    if not runs:
+        raise ValueError(
+            f"runs: {path} holds neither a run ({TABLE}) nor a suite (results.json), nor folders of runs with scores"
+        )
+    kind = f"experiment {suite.get('experiment', 'A')}" if is_suite else "run folders"
+    return Source(name, path, kind, tuple(runs), _planned(suite) if is_suite else None, results, suite)
+
+
+def _planned(suite: Row) -> int | None:
+    counts = [len(suite.get(key) or ()) for key in _PLANNED]
+    return counts[0] * counts[1] * counts[2] or None
+
+
+def _runs_inside(path: Path, results: Row, suite: Row) -> list[AnyRun]:
+    """Returns the runs of folders inside, with what the suite recorded of them, and those of records alone."""
+    records = {run_name(record): record for record in results.get("runs") or ()}
+    runs = [read_run(folder, records.pop(folder.name, None)) for folder in run_folders(path)]
+    runs += [read_run(None, record) for record in records.values()]
+    begun = [run for run in runs if run is not None]
+    return sorted(begun, key=lambda run: [_place(suite.get(key), getattr(run, key[:-1])) for key in _PLANNED])
+
+
+def _place(items: Sequence[Any] | None, item: Any) -> int:
+    """Returns where an item stands in a suite's list, so that runs keep its order."""
+    return list(items).index(item) if items and item in items else 0
+
+
+def make_arms(sources: Sequence[Source]) -> list[Arm]:
+    """Returns the arms of all runs.
+
+    Runs of the same arm and settings are seeds of one arm, wherever they lie. Where arms of one name differ in their
+    settings, or the same seed comes twice, they stay apart and bear their source's name too.
+    """
+    groups: dict[tuple[str, str], list[tuple[Source, AnyRun]]] = {}
+    for source in sources:
+        for run in source.runs:
+            groups.setdefault((run.arm, _settings(source, run)), []).append((source, run))
+    for key, members in list(groups.items()):
+        places = [(type(run), run.task, run.seed) for _, run in members]
+        if len(set(places)) < len(places):  # the same run twice is not two seeds
+            del groups[key]
+            for source, run in members:
+                groups.setdefault((run.arm, f"{source.path}/{key[1]}"), []).append((source, run))
+    names = [arm for arm, _ in groups]
+    labels = {key: key[0] if names.count(key[0]) == 1 else _long_label(members) for key, members in groups.items()}
+    colours = _colours([key[0] for key in groups])
+    return [
+        Arm(
+            labels[key],
+            colour,
+            tuple(run for _, run in members),
+            {task: score for source, run in members for (task, arm), score in source.paper.items() if arm == run.arm},
+        )
+        for (key, members), colour in zip(groups.items(), colours, strict=True)
+    ]
+
+
+def _settings(source: Source, run: AnyRun) -> str:
+    """Text that is equal where runs may be seeds of one arm."""
+    settings = source.config if source.planned else run.config
+    if not settings:
+        return str(run.path or source.path)
+    return json.dumps(_without(settings), sort_keys=True)
+
+
+def _without(settings: Any) -> Any:
+    """Settings without those in which seeds of an arm differ."""
+    if isinstance(settings, Mapping):
+        return {key: _without(value) for key, value in settings.items() if key not in _NO_SETTINGS}
+    return settings
+
+
+def _long_label(members: Sequence[tuple[Source, AnyRun]]) -> str:
+    source, run = members[0]
+    place = source.name if source.planned or len(source.runs) == 1 else f"{source.name}{os.sep}{run.name}"
+    return f"{run.arm} ({place})"
+
+
+def _colours(arms: Sequence[str]) -> list[str]:
+    """Returns a colour for each arm: the usual one where it is still free, else the next free one."""
+    found: list[str] = []
+    for i, arm in enumerate(arms):
+        wanted = (_USUAL.get(arm, ""), *(colour for colour in _COLOURS if colour not in _USUAL.values()), *_COLOURS)
+        free = [colour for colour in wanted if colour and colour not in found]
+        found.append(free[0] if free else _COLOURS[i % len(_COLOURS)])
+    return found

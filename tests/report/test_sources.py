@@ -1,0 +1,110 @@
+"""What lies in folders, and which runs are seeds of one arm."""
+
+import json
+import shutil
+
+import pytest
+
+from evogymcm.report.runs import CodesignRun, TrainingRun
+from evogymcm.report.sources import make_arms, read_source, read_sources
+
+
+def test_a_training_run(training):
+    source = read_source(training / "reactive-1")
+    (run,) = source.runs
+    assert (source.kind, source.planned) == ("training run", None)
+    assert isinstance(run, TrainingRun)
+    assert (run.task, run.arm, run.seed, run.body) == ("Dart-v0", "reactive", 1, "HVH/S.R")
+    assert (run.finished, run.env_steps) == (True, 64)
+    rows = [json.loads(line) for line in (training / "reactive-1" / "curve.jsonl").read_text().splitlines()]
+    scores = [row["score"] for row in rows if "score" in row]
+    assert len(scores) == 3
+    assert (run.untrained, run.final, run.best) == (scores[0], scores[-1], max(scores))
+    assert run.final_return == rows[-1]["return"]
+
+
+def test_a_stopped_training_run_has_no_final_score(training, tmp_path):
+    folder = tmp_path / "stopped"
+    shutil.copytree(training / "reactive-0", folder)
+    (folder / "final.pt").unlink()
+    table = folder / "curve.jsonl"
+    table.write_text("".join(table.read_text().splitlines(keepends=True)[:-1]) + '{"env_steps": 64, "sco')
+    (run,) = read_source(folder).runs
+    assert (run.finished, run.final, run.env_steps) == (False, None, 32)
+    assert run.best is not None
+
+
+def test_a_co_design_run(evolved):
+    source = read_source(evolved / "invariant-0")
+    (run,) = source.runs
+    assert source.kind == "co-design run"
+    assert isinstance(run, CodesignRun)
+    assert (run.arm, run.seed, run.bodies, run.finished) == ("invariant", 0, 6, True)
+    rows = [json.loads(line) for line in (evolved / "invariant-0" / "curve.jsonl").read_text().splitlines()]
+    assert len(rows) > 6
+    assert run.curve[-1] == (rows[-1]["env_steps"], rows[-1]["best"])
+    assert run.ranked()[0]["fitness"] == rows[-1]["best"] == max(row["fitness"] for row in rows)
+
+
+def test_a_suite_by_its_results_alone(suite):
+    source = read_source(suite)
+    assert (source.kind, source.planned, len(source.runs)) == ("experiment A", 6, 6)
+    assert source.paper["Walker-v0", "control-only"] == (9.46, 0.03)
+    control, both = make_arms([source])
+    assert [run.final for run in both.runs] == [9.0, 9.25, 9.5]
+    assert [run.best for run in control.runs] == [8.5, 8.75, 9.0]
+    assert control.paper == {"Walker-v0": (9.46, 0.03)}
+
+
+def test_a_suite_under_way_is_read_from_its_folders(evolved, tmp_path):
+    folder = tmp_path / "under-way"
+    shutil.copytree(evolved, folder)
+    config = {"experiment": "C", "tasks": ["Dart-v0"], "arms": ["prescribed", "invariant"], "seeds": [0, 1]}
+    (folder / "config.json").write_text(json.dumps(config))
+    source = read_source(folder)
+    assert (source.kind, source.planned, len(source.runs)) == ("experiment C", 4, 3)
+
+
+def test_seeds_of_equal_settings_are_one_arm(training):
+    arms = make_arms([read_source(training)])
+    assert [(arm.label, len(arm.runs)) for arm in arms] == [("invariant", 2), ("reactive", 2)]
+    assert len({arm.colour for arm in arms}) == 2
+    apart = make_arms(read_sources([training / "reactive-0", training / "reactive-1"]))
+    assert [(arm.label, len(arm.runs)) for arm in apart] == [("reactive", 2)]
+
+
+def test_the_same_seed_twice_and_other_settings_stay_apart(training, tmp_path):
+    shutil.copytree(training / "reactive-0", tmp_path / "again")
+    arms = make_arms(read_sources([training / "reactive-0", tmp_path / "again"]))
+    assert [arm.label for arm in arms] == ["reactive (reactive-0)", "reactive (again)"]
+    config = json.loads((tmp_path / "again" / "config.json").read_text())
+    config["ppo"] |= {"seed": 5, "learning_rate": 0.5}
+    (tmp_path / "again" / "config.json").write_text(json.dumps(config))
+    arms = make_arms(read_sources([training / "reactive-0", tmp_path / "again"]))
+    assert [len(arm.runs) for arm in arms] == [1, 1]
+
+
+def test_equal_folder_names_are_told_apart(training, tmp_path):
+    shutil.copytree(training / "reactive-0", tmp_path / "reactive-0")
+    names = [source.name for source in read_sources([training / "reactive-0", tmp_path / "reactive-0"])]
+    assert names == [f"{training.name}/reactive-0", f"{tmp_path.name}/reactive-0"]
+
+
+def test_what_cannot_be_used_is_refused(training, tmp_path):
+    with pytest.raises(ValueError, match="got none"):
+        read_sources([])
+    with pytest.raises(ValueError, match="more than once"):
+        read_sources([training, training / "reactive-0" / ".."])
+    with pytest.raises(ValueError, match="not a folder"):
+        read_source(tmp_path / "missing")
+    with pytest.raises(ValueError, match="holds neither a run"):
+        read_source(tmp_path)
+    (tmp_path / "curve.jsonl").write_text("")
+    with pytest.raises(ValueError, match="without any score"):
+        read_source(tmp_path)
+    (tmp_path / "curve.jsonl").write_text("{]\n")
+    with pytest.raises(ValueError, match="not a table of JSON rows"):
+        read_source(tmp_path)
+    (tmp_path / "config.json").write_text("{")
+    with pytest.raises(ValueError, match="not JSON"):
+        read_source(tmp_path)
