@@ -3,9 +3,9 @@
 Arrays are indexed by world and by cell of the padded grid (V cells, bodies in the upper left corner).
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -34,6 +34,14 @@ from evogymcm.sim.world import ROBOT, World, WorldObject
 UNSTABLE_PENALTY = -3.0
 # Arrays that a step can change, besides the simulator and the task's memory.
 _STATE = ("actuation", "stiffness", "reward", "score", "returns", "length", "terminated", "truncated", "unstable")
+
+
+class _Source(NamedTuple):
+    """What the kernels that read a block need besides its state."""
+
+    objects: list[tuple[Any, ...]]  # for `read_object`: the robot, then the watched objects
+    terrains: list[Terrain]  # for `read_window`: of each window
+    cells: tuple[np.ndarray, np.ndarray, int]  # for `fill_voxels`
 
 
 class TaskEngine:
@@ -110,11 +118,9 @@ class TaskEngine:
         self._template = self._per_body(voxel_template) if with_voxels else np.zeros((n, v, N_FEATURES), np.float32)
         self.voxels = self._template.copy()
         most_points = max(b.scene.objects[0].topology.n_points for b in self.simulator.blocks)
-        self._scratch = [
-            (np.zeros((2, 2 * most_points + 2), np.int64), np.zeros((N_SUMS, 1, N_LANES)))
-            for _ in self.simulator.blocks
-        ]
-        self._terrains = [self._make_terrains(block) for block in self.simulator.blocks]
+        windows = ((self.task.floor, False), (self.task.ceiling, True))
+        self._windows = [(window, is_ceiling) for window, is_ceiling in windows if window is not None]
+        self._sources = [self._make_source(block, most_points) for block in self.simulator.blocks]
         self._now, self._before = self._new_snapshot(most_points), self._new_snapshot(most_points)
         self.is_uniform = with_flat and len(placed) == 1
 
@@ -147,19 +153,26 @@ class TaskEngine:
                 rows[body] = describe(body, block.scene.objects[0].topology, self.grid_shape)
         return np.stack([rows[body] for body in self.bodies])
 
-    def _make_terrains(self, block: Block) -> tuple[Terrain | None, Terrain | None]:
-        """Returns what the floor and the ceiling window see."""
+    def _make_source(self, block: Block, most_points: int) -> _Source:
+        topology = block.scene.objects[0].topology
+        watched = [block.scene.object(name).points for name in self.task.watches]
+        spans = [(0, topology.n_points), *((int(points[0]), int(points[-1]) + 1) for points in watched)]
+        hulls = [self.task.reads_hull, *(False for _ in watched)]
+        scratch = np.zeros((2, 2 * most_points + 2), np.int64), np.zeros((N_SUMS, 1, N_LANES))
+        return _Source(
+            [(block.layout.initial, *span, hull, *scratch) for span, hull in zip(spans, hulls, strict=True)],
+            [self._make_terrain(block, window) for window, _ in self._windows],
+            (topology.cells, topology.corner_points, self.grid_shape[1]),
+        )
 
-        def collect(window: Window | None) -> Terrain | None:
-            if window is None:
-                return None
-            points = np.concatenate([block.scene.object(name).points for name in window.objects])
-            n = block.scene.n_points
-            fixed = block.layout.static_points[points[points >= n] - n] / VOXEL
-            # Fixed corners of soft voxels have lanes, but their place never changes either.
-            return Terrain(fixed[np.argsort(fixed[:, 0], kind="stable")], points[points < n])
-
-        return collect(self.task.floor), collect(self.task.ceiling)
+    @staticmethod
+    def _make_terrain(block: Block, window: Window) -> Terrain:
+        """Returns what a window sees."""
+        points = np.concatenate([block.scene.object(name).points for name in window.objects])
+        n = block.scene.n_points
+        fixed = block.layout.static_points[points[points >= n] - n] / VOXEL
+        # Fixed corners of soft voxels have lanes, but their place never changes either.
+        return Terrain(fixed[np.argsort(fixed[:, 0], kind="stable")], points[points < n])
 
     def _new_snapshot(self, n_points: int) -> Snapshot:
         n, task = self.num_worlds, self.task
@@ -183,7 +196,7 @@ class TaskEngine:
             values[chosen] = 0
         for flags in (self.terminated, self.truncated, self.unstable):
             flags[chosen] = False
-        self.voxels = self._template.copy() if mask is None else self.voxels.copy()
+        self._renew_voxels(mask)
         self._read(chosen)
 
     def _draw(self, chosen: np.ndarray) -> None:
@@ -206,7 +219,6 @@ class TaskEngine:
         Raises:
             ValueError: For another shape, or NaN at a voxel that uses the number.
         """
-        chosen = np.ones(self.num_worlds, bool) if mask is None else np.asarray(mask, bool).reshape(self.num_worlds)
         given = self._check_action("actuation", actuation, self.actuators, ACTUATION_LOW, ACTUATION_HIGH)
         if (stiffness is None) == (self.material == "reactive"):
             needs = "needs stiffness in every action" if stiffness is None else "takes no stiffness in its actions"
@@ -218,15 +230,21 @@ class TaskEngine:
             self.actuation = given
             self.stiffness = self.stiffness if factors is None else factors
         else:
-            self.actuation[chosen] = given[chosen]
+            mask = np.asarray(mask, bool).reshape(self.num_worlds)
+            self.actuation[mask] = given[mask]
             if factors is not None:
-                self.stiffness[chosen] = factors[chosen]
+                self.stiffness[mask] = factors[mask]
         self._now, self._before = self._before, self._now
-        self.voxels = self._template.copy() if mask is None else self.voxels.copy()
+        self._renew_voxels(mask)
         unstable = self.simulator.step(self.actuation, factors, mask, self._reader())
         if mask is not None:
-            self._keep(~chosen)
-        self._reward(chosen, unstable)
+            self._keep(~mask)
+        self._reward(mask, unstable)
+
+    def _renew_voxels(self, mask: np.ndarray | None) -> None:
+        """Gives `voxels` fresh memory, since observations are kept; with the old values, unless all are to be read."""
+        if self.with_voxels:
+            self.voxels = np.empty_like(self._template) if mask is None else self.voxels.copy()
 
     def _check_action(self, name: str, values: Any, used: np.ndarray, low: float, high: float) -> np.ndarray:
         """Returns the action clipped to its range, and 1 where it is not used."""
@@ -240,48 +258,36 @@ class TaskEngine:
 
     def _reader(self) -> Any:
         """Returns the function that reads a block's worlds, run in the thread that advanced it."""
-        self._now = replace(self._now, memory={name: values.copy() for name, values in self.memory.items()})
-        now, task = self._now, self.task
+        if self.memory:
+            self._now = replace(self._now, memory={name: values.copy() for name, values in self.memory.items()})
+        now, sources, with_voxels, rows = self._now, self._sources, self.with_voxels, (self.num_worlds, -1)
+        objects = [now.robot, *now.objects.values()]
+        windows = [(w.radius, is_ceiling, now.ceiling if is_ceiling else now.floor) for w, is_ceiling in self._windows]
+        template, voxels = self._template.reshape(rows), self.voxels.reshape(rows)
+        sensed = now.robot.numbers, self.stiffness, self.actuation, template, voxels
 
         def read(block: Block, worlds: np.ndarray) -> None:
-            i = block.index
-            points, layout, robot = block.state.points, block.layout, block.scene.objects[0]
-            n = robot.topology.n_points
-            read_object(points, layout.initial, 0, n, worlds, task.reads_hull, *self._scratch[i], now.robot)
-            for name, readings in now.objects.items():
-                numbers = block.scene.object(name).points
-                end = int(numbers[-1]) + 1
-                read_object(points, layout.initial, int(numbers[0]), end, worlds, False, *self._scratch[i], readings)
-            windows = ((task.floor, now.floor, False), (task.ceiling, now.ceiling, True))
-            for terrain, (window, out, is_ceiling) in zip(self._terrains[i], windows, strict=True):
-                if terrain is not None and window is not None and out is not None:
-                    read_window(terrain, points, now.robot.com, worlds, window.radius, is_ceiling, out)
-            if self.with_voxels:
-                cells, corners = robot.topology.cells, robot.topology.corner_points
-                com, velocity = now.robot.com, now.robot.velocity
-                fill_voxels(
-                    points,
-                    cells,
-                    corners,
-                    self.grid_shape[1],
-                    worlds,
-                    com,
-                    velocity,
-                    self.stiffness,
-                    self.actuation,
-                    self.voxels,
-                )
+            points, source = block.state.points, sources[block.index]
+            for known, readings in zip(source.objects, objects, strict=True):
+                read_object(points, worlds, *known, *readings)
+            if windows:
+                for terrain, window in zip(source.terrains, windows, strict=True):
+                    read_window(points, worlds, *terrain, now.robot.com, *window)
+            if with_voxels:
+                fill_voxels(points, worlds, *source.cells, *sensed)
 
         return read
 
     def _keep(self, kept: np.ndarray) -> None:
         """Copies the last readings of the worlds that did not take part."""
-        pairs: list[tuple[Any, Any]] = list(zip(self._now.robot, self._before.robot, strict=True))
-        for name, readings in self._now.objects.items():
-            pairs += list(zip(readings, self._before.objects[name], strict=True))
-        pairs += [(self._now.floor, self._before.floor), (self._now.ceiling, self._before.ceiling)]
-        for new, old in pairs:
-            if new is not None:
+
+        def arrays(snapshot: Snapshot) -> Iterator[np.ndarray | None]:
+            for readings in (snapshot.robot, *snapshot.objects.values()):
+                yield from readings
+            yield from (snapshot.floor, snapshot.ceiling)
+
+        for new, old in zip(arrays(self._now), arrays(self._before), strict=True):
+            if new is not None and old is not None:
                 new[kept] = old[kept]
 
     def _read(self, chosen: np.ndarray) -> None:
@@ -292,8 +298,12 @@ class TaskEngine:
             if (worlds != MISSING).any():
                 read(block, worlds)
 
-    def _reward(self, chosen: np.ndarray, unstable: np.ndarray) -> None:
+    def _reward(self, mask: np.ndarray | None, unstable: np.ndarray) -> None:
         """Rewards and endings of the step, for the worlds of the mask."""
+
+        def chosen(new: np.ndarray, old: Any) -> np.ndarray:
+            return new if mask is None else np.where(mask, new, old)
+
         reward = np.asarray(self.task.reward(self._before, self._now), np.float64)
         terminated = unstable.copy()
         reward = reward + np.where(unstable, UNSTABLE_PENALTY, 0.0)
@@ -301,15 +311,15 @@ class TaskEngine:
             reward = reward + np.where(condition, bonus, 0.0)
             terminated = terminated | condition
         for name, values in self.task.remember(self._now).items():
-            rows = chosen.reshape(-1, *([1] * (values.ndim - 1)))
+            rows = True if mask is None else mask.reshape(-1, *([1] * (values.ndim - 1)))
             self.memory[name] = np.where(rows, values, self.memory[name])
-        self.length = self.length + chosen
-        self.score = np.where(chosen, self.returns, self.score)
-        self.reward = np.where(chosen, reward, 0.0)
+        self.length = self.length + (1 if mask is None else mask)
+        self.score = chosen(self.returns, self.score)
+        self.reward = chosen(reward, 0.0)
         self.returns = self.returns + self.reward
-        self.terminated = np.where(chosen, terminated, self.terminated)
-        self.truncated = np.where(chosen, self.length >= self.task.time_limit, self.truncated)
-        self.unstable = np.where(chosen, unstable, self.unstable)
+        self.terminated = chosen(terminated, self.terminated)
+        self.truncated = chosen(self.length >= self.task.time_limit, self.truncated)
+        self.unstable = chosen(unstable, self.unstable)
 
     @property
     def snapshot(self) -> Snapshot:
@@ -331,7 +341,7 @@ class TaskEngine:
     @property
     def features(self) -> np.ndarray:
         """(N, G) global features (fresh memory): COM velocity, sine and cosine of the orientation, the task's parts."""
-        angle = self._now.robot.orientation
+        angle = self._now.robot.orientation.copy()  # numpy's sine of a view may round otherwise
         parts = [self._now.robot.velocity, np.sin(angle)[:, None], np.cos(angle)[:, None]]
         own = self.task.observation(self._now)
         parts += [part for name, part in own.items() if name not in ("velocity", "orientation", "relative")]
@@ -372,5 +382,5 @@ class TaskEngine:
 
     def refresh(self) -> None:
         """Reads all worlds anew, after the simulator's state was changed from outside."""
-        self.voxels = self._template.copy()
+        self._renew_voxels(None)
         self._read(np.ones(self.num_worlds, bool))

@@ -14,6 +14,7 @@ from evogymcm.body import Body
 from evogymcm.sim import lanes
 from evogymcm.sim._jit import kernel
 from evogymcm.sim.constants import MISSING
+from evogymcm.sim.readings import COM, VELOCITY
 from evogymcm.sim.springs import VX, VY, X, Y
 from evogymcm.sim.topology import Topology
 
@@ -55,42 +56,46 @@ def voxel_template(body: Body, topology: Topology, grid_shape: tuple[int, int]) 
 @kernel
 def fill_voxels(
     points: np.ndarray,
+    worlds: np.ndarray,
     cells: np.ndarray,
     corner_points: np.ndarray,
     columns: int,
-    worlds: np.ndarray,
-    com: np.ndarray,
-    velocity: np.ndarray,
+    numbers: np.ndarray,
     stiffness: np.ndarray,
     actuation: np.ndarray,
+    template: np.ndarray,
     out: np.ndarray,
 ) -> None:
-    """Fills in the features that change, of one block's worlds.
+    """Fills in all features of one block's worlds.
 
     Args:
         points: (N_POINT_ROWS, P, 8) state.
+        worlds: (8,) world of each lane, MISSING for none.
         cells: (c, 2) row and column of the robot's voxels.
         corner_points: (c, 4) their points.
         columns: Of the padded grid.
-        worlds: (8,) world of each lane, MISSING for none.
-        com: (N, 2) robots' COM.
-        velocity: (N, 2) robots' COM velocity.
+        numbers: (N, N_NUMBERS) the robots' readings.
         stiffness: (N, V) present stiffness.
         actuation: (N, V) last actuation.
-        out: (N, V, N_FEATURES) float32.
+        template: (N, V * N_FEATURES) float32 features that never change.
+        out: (N, V * N_FEATURES) float32.
     """
     for lane in range(lanes.N_LANES):
         world = worlds[lane]
         if world == MISSING:
             continue
-        cx, cy, ux, uy = com[world, 0], com[world, 1], velocity[world, 0], velocity[world, 1]
+        cx, cy = numbers[world, COM], numbers[world, COM + 1]
+        ux, uy = numbers[world, VELOCITY], numbers[world, VELOCITY + 1]
+        for k in range(out.shape[1]):
+            out[world, k] = template[world, k]
         for i in range(cells.shape[0]):
             v = cells[i, 0] * columns + cells[i, 1]
+            at = v * N_FEATURES
             for k in range(4):
                 p = corner_points[i, k]
-                out[world, v, POSITIONS + k] = points[X, p, lane] - cx
-                out[world, v, POSITIONS + 4 + k] = points[Y, p, lane] - cy
-                out[world, v, VELOCITIES + k] = points[VX, p, lane] - ux
-                out[world, v, VELOCITIES + 4 + k] = points[VY, p, lane] - uy
-            out[world, v, STIFFNESS] = stiffness[world, v]
-            out[world, v, ACTUATION] = actuation[world, v]
+                out[world, at + POSITIONS + k] = points[X, p, lane] - cx
+                out[world, at + POSITIONS + 4 + k] = points[Y, p, lane] - cy
+                out[world, at + VELOCITIES + k] = points[VX, p, lane] - ux
+                out[world, at + VELOCITIES + 4 + k] = points[VY, p, lane] - uy
+            out[world, at + STIFFNESS] = stiffness[world, v]
+            out[world, at + ACTUATION] = actuation[world, v]

@@ -16,7 +16,9 @@ from evogymcm.sim.springs import VX, VY, X, Y
 _TWO_PI = 2.0 * 3.1415926  # EvoGym's value, seven digits of pi
 _ALMOST_ONE = 0.99999  # what a cosine beyond 1 counts as
 WINDOW_REACH = 5.0  # voxels: as far as an elevation window sees
-N_SUMS = 9  # numbers of `read_object` that are formed for all lanes at once
+COM, VELOCITY, LOW, HIGH, ORIENTATION, HULL_AREA = 0, 2, 4, 6, 8, 9  # first columns of `Readings.numbers`
+N_SUMS = 9  # numbers of `read_object` that are formed for all lanes at once, the first columns
+N_NUMBERS = 10
 # Best polynomial (Chebyshev) for (arcsin(t) / t - 1) / t^2 in t^2, on [0, 1/4]; highest power first, off by 1.5e-17.
 _ARCSIN = (
     0.028757851367421566,
@@ -38,45 +40,73 @@ _ARCSIN = (
 class Readings(NamedTuple):
     """Readings of one object in N worlds; n points at most."""
 
-    com: np.ndarray  # (N, 2) mean of the points, metres
-    velocity: np.ndarray  # (N, 2) mean of the integrated velocities
-    low: np.ndarray  # (N, 2) smallest coordinates
-    high: np.ndarray  # (N, 2) largest coordinates
+    numbers: np.ndarray  # (N, N_NUMBERS) what the properties below are views of
     relative: np.ndarray  # (N, 2, n) points minus COM; 0 beyond an object's own points
-    orientation: np.ndarray  # (N,) radians in [0, 2 pi), counter-clockwise from reset
-    hull_area: np.ndarray  # (N,) square metres
+
+    @property
+    def com(self) -> np.ndarray:
+        """(N, 2) mean of the points, metres."""
+        return self.numbers[:, COM : COM + 2]
+
+    @property
+    def velocity(self) -> np.ndarray:
+        """(N, 2) mean of the integrated velocities."""
+        return self.numbers[:, VELOCITY : VELOCITY + 2]
+
+    @property
+    def low(self) -> np.ndarray:
+        """(N, 2) smallest coordinates."""
+        return self.numbers[:, LOW : LOW + 2]
+
+    @property
+    def high(self) -> np.ndarray:
+        """(N, 2) largest coordinates."""
+        return self.numbers[:, HIGH : HIGH + 2]
+
+    @property
+    def orientation(self) -> np.ndarray:
+        """(N,) radians in [0, 2 pi), counter-clockwise from reset."""
+        return self.numbers[:, ORIENTATION]
+
+    @property
+    def hull_area(self) -> np.ndarray:
+        """(N,) square metres."""
+        return self.numbers[:, HULL_AREA]
 
 
 def new_readings(n_worlds: int, n_points: int) -> Readings:
     """Returns readings of zeros."""
-    shapes = ((2,), (2,), (2,), (2,), (2, n_points), (), ())
-    return Readings(*(np.zeros((n_worlds, *shape)) for shape in shapes))
+    return Readings(np.zeros((n_worlds, N_NUMBERS)), np.zeros((n_worlds, 2, n_points)))
 
 
 @kernel
 def read_object(
     points: np.ndarray,
+    worlds: np.ndarray,
     initial: np.ndarray,
     first: int,
     end: int,
-    worlds: np.ndarray,
     with_hull: bool,
     hull: np.ndarray,
     sums: np.ndarray,
-    out: Readings,
+    numbers: np.ndarray,
+    relative: np.ndarray,
 ) -> None:
     """Reads the object whose points are `first` to `end`, in the lanes that have a world.
 
+    It takes arrays, and no tuple of them: numba spent more on taking the tuple apart than on all readings.
+
     Args:
         points: (N_POINT_ROWS, P, 8) state.
+        worlds: (8,) world of each lane, MISSING for none.
         initial: (P, 2) coordinates at reset, from which orientation counts.
         first: First point.
         end: End of the points.
-        worlds: (8,) world of each lane, MISSING for none.
         with_hull: Whether to read the hull's area.
         hull: (2, points + 1) int scratch.
         sums: (N_SUMS, 1, 8) scratch.
-        out: Receives the readings.
+        numbers: Receives the readings, as `relative`.
+        relative: See `Readings`.
     """
     n = end - first
     cx, cy, vx, vy = lanes.spread(0.0), lanes.spread(0.0), lanes.spread(0.0), lanes.spread(0.0)
@@ -89,28 +119,26 @@ def read_object(
         low_x, low_y = lanes.minimum(px, low_x), lanes.minimum(py, low_y)
         high_x, high_y = lanes.maximum(px, high_x), lanes.maximum(py, high_y)
     cx, cy = cx / n, cy / n
-    lanes.store(sums, 0, 0, cx)
-    lanes.store(sums, 1, 0, cy)
-    lanes.store(sums, 2, 0, vx / n)
-    lanes.store(sums, 3, 0, vy / n)
-    lanes.store(sums, 4, 0, low_x)
-    lanes.store(sums, 5, 0, low_y)
-    lanes.store(sums, 6, 0, high_x)
-    lanes.store(sums, 7, 0, high_y)
-    lanes.store(sums, 8, 0, _orientation(points, initial, first, end, cx, cy))
+    lanes.store(sums, COM, 0, cx)
+    lanes.store(sums, COM + 1, 0, cy)
+    lanes.store(sums, VELOCITY, 0, vx / n)
+    lanes.store(sums, VELOCITY + 1, 0, vy / n)
+    lanes.store(sums, LOW, 0, low_x)
+    lanes.store(sums, LOW + 1, 0, low_y)
+    lanes.store(sums, HIGH, 0, high_x)
+    lanes.store(sums, HIGH + 1, 0, high_y)
+    lanes.store(sums, ORIENTATION, 0, _orientation(points, initial, first, end, cx, cy))
     for lane in range(lanes.N_LANES):
         world = worlds[lane]
         if world == MISSING:
             continue
-        for k in range(2):
-            out.com[world, k], out.velocity[world, k] = sums[k, 0, lane], sums[2 + k, 0, lane]
-            out.low[world, k], out.high[world, k] = sums[4 + k, 0, lane], sums[6 + k, 0, lane]
-        out.orientation[world] = sums[8, 0, lane]
+        for k in range(N_SUMS):
+            numbers[world, k] = sums[k, 0, lane]
         for p in range(first, end):
-            out.relative[world, 0, p - first] = points[X, p, lane] - sums[0, 0, lane]
-            out.relative[world, 1, p - first] = points[Y, p, lane] - sums[1, 0, lane]
+            relative[world, 0, p - first] = points[X, p, lane] - sums[COM, 0, lane]
+            relative[world, 1, p - first] = points[Y, p, lane] - sums[COM + 1, 0, lane]
         if with_hull:
-            out.hull_area[world] = _hull_area(out.relative, world, n, hull)
+            numbers[world, HULL_AREA] = _hull_area(relative, world, n, hull)
 
 
 @inlined
@@ -215,10 +243,11 @@ class Terrain(NamedTuple):
 
 @kernel
 def read_window(
-    terrain: Terrain,
     points: np.ndarray,
-    com: np.ndarray,
     worlds: np.ndarray,
+    fixed: np.ndarray,
+    moving: np.ndarray,
+    com: np.ndarray,
     radius: int,
     is_ceiling: bool,
     out: np.ndarray,
@@ -229,10 +258,11 @@ def read_window(
     All borders are strict, as in EvoGym: a point exactly on one is in no column.
 
     Args:
-        terrain: What to look at.
         points: (N_POINT_ROWS, P, 8) state.
-        com: (N, 2) centres, metres.
         worlds: (8,) world of each lane, MISSING for none.
+        fixed: What to look at, with `moving`: see `Terrain`.
+        moving: See `Terrain`.
+        com: (N, 2) centres, metres.
         radius: Columns to each side of the COM's.
         is_ceiling: Whether to look up.
         out: (N, 2 radius + 1) receives metres, left to right.
@@ -245,19 +275,19 @@ def read_window(
         for column in range(2 * radius + 1):
             out[world, column] = WINDOW_REACH * VOXEL
         left, right = cx - radius - 1.0, cx + radius + 1.0
-        low, high = 0, terrain.fixed.shape[0]
+        low, high = 0, fixed.shape[0]
         while low < high:
             middle = (low + high) // 2
-            if terrain.fixed[middle, 0] < left:
+            if fixed[middle, 0] < left:
                 low = middle + 1
             else:
                 high = middle
-        for q in range(low, terrain.fixed.shape[0]):
-            if not terrain.fixed[q, 0] <= right:
+        for q in range(low, fixed.shape[0]):
+            if not fixed[q, 0] <= right:
                 break
-            _look(terrain.fixed[q, 0], terrain.fixed[q, 1], cx, cy, radius, is_ceiling, out, world)
-        for q in range(terrain.moving.shape[0]):
-            p = terrain.moving[q]
+            _look(fixed[q, 0], fixed[q, 1], cx, cy, radius, is_ceiling, out, world)
+        for q in range(moving.shape[0]):
+            p = moving[q]
             x = points[X, p, lane] / VOXEL
             if left <= x <= right:
                 _look(x, points[Y, p, lane] / VOXEL, cx, cy, radius, is_ceiling, out, world)

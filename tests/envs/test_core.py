@@ -215,6 +215,15 @@ def test_voxel_features_against_slow_twin(material):
         np.testing.assert_array_equal(engine.types, types)
 
 
+def test_voxels_do_not_depend_on_what_their_memory_held(monkeypatch):
+    engine = make_engine("Walker-v0", [SMALL, WIDE], 3)
+    monkeypatch.setattr(np, "empty_like", lambda like: np.full_like(like, np.nan))
+    for advance in (lambda: step_randomly(engine, 1), engine.reset, engine.refresh):
+        advance()
+        assert np.isfinite(engine.voxels).all()
+        assert (engine.voxels[~engine.occupancy] == 0).all()
+
+
 def test_neighbours_are_the_connected_ones():
     body = cm.Body("HH/HH", [[0, 1, 0], [1, 3, 2]])  # 2 and 3 touch, but are not joined
     engine = make_engine("Walker-v0", body)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from evogymcm.sim.lanes import N_LANES
-from evogymcm.sim.readings import N_SUMS, Terrain, new_readings, read_object, read_window
+from evogymcm.sim.readings import N_SUMS, new_readings, read_object, read_window
 from evogymcm.sim.springs import VX, VY, X, Y
 from tests.envs.tools import (
     PAPER_ROBOTS,
@@ -33,7 +33,9 @@ def as_state(xy, velocity=None):
 def read(was, now, velocity=None):
     n = was.shape[1]
     readings, hull, sums = new_readings(1, n), np.zeros((2, 2 * n + 2), np.int64), np.zeros((N_SUMS, 1, N_LANES))
-    read_object(as_state(now, velocity), was.T.copy(), 0, n, LANE_3, True, hull, sums, readings)
+    read_object(
+        as_state(now, velocity), LANE_3, was.T.copy(), 0, n, True, hull, sums, readings.numbers, readings.relative
+    )
     return readings
 
 
@@ -43,7 +45,7 @@ def window(terrain, com, radius=5, is_ceiling=False, moving=None):
     points = as_state(np.zeros((2, 0)) if moving is None else moving)
     out = np.full((1, 2 * radius + 1), np.nan)
     numbers = np.arange(points.shape[1])
-    read_window(Terrain(fixed, numbers), points, np.array([com]), LANE_3, radius, is_ceiling, out)
+    read_window(points, LANE_3, fixed, numbers, np.array([com]), radius, is_ceiling, out)
     return out[0]
 
 

@@ -8,7 +8,7 @@ import pytest
 import torch
 from tensordict import TensorDict
 from torchrl.collectors import Collector
-from torchrl.envs import Compose, RewardSum, StepCounter, TransformedEnv, check_env_specs
+from torchrl.envs import Compose, EnvBase, RewardSum, StepCounter, TransformedEnv, check_env_specs
 
 import evogymcm as cm
 from evogymcm.envs import SoftRobotEnv
@@ -85,6 +85,45 @@ def test_steps_are_those_of_the_engine(material):
         np.testing.assert_array_equal(data["score"].squeeze(-1), engine.score)
         np.testing.assert_array_equal(data["return"].squeeze(-1), engine.returns)
         np.testing.assert_array_equal(data["unstable"].squeeze(-1), engine.unstable)
+
+
+@pytest.mark.parametrize("device", [None, "cpu"])
+@pytest.mark.parametrize("bodies", [SMALL, [SMALL, WIDE]])
+def test_steps_need_no_completion(bodies, device):
+    # What TensorDict and TorchRL would check or complete in every step, and this environment leaves out.
+    env = make_env(bodies, 4, device=device)
+    action = env.rand_action(env.reset())
+    raw = env._step(action)
+    checked = TensorDict(dict(raw.items()), env.batch_size, device=env.device)
+    completed = EnvBase._step_proc_data(env, checked)
+    specs = {**env.full_observation_spec, **env.full_reward_spec, **env.full_done_spec}
+    assert set(raw.keys()) == set(completed.keys()) == set(specs)
+    assert raw.device == completed.device == env.device
+    for key, spec in specs.items():
+        assert raw[key].shape == completed[key].shape == spec.shape
+        assert raw[key].dtype == spec.dtype
+
+
+def test_steps_are_those_with_torchrls_checks():
+    class Checked(SoftRobotEnv):
+        _step_proc_data = EnvBase._step_proc_data
+
+        def _pack(self, values):
+            tensors = {key: torch.from_numpy(value) for key, value in values.items()}
+            return TensorDict(tensors, batch_size=self.batch_size, device=self.device)
+
+    rollouts = []
+    for kind in (SoftRobotEnv, Checked):
+        env = kind(replace(cm.tasks["Walker-v0"], time_limit=4), "Walk_Bot", 3, num_threads=1)
+        start = env.reset()
+        env.engine.simulator.move("robot", (9.6, 0.0), 1)  # ends at once, and begins anew apart from the others
+        env.engine.refresh()
+        torch.manual_seed(0)
+        rollouts.append(env.rollout(10, break_when_any_done=False, auto_reset=False, tensordict=start))
+    ours, theirs = rollouts
+    assert ours["next", "done"].squeeze(-1).sum(1).tolist() == [2, 3, 2]
+    assert set(ours.keys(True, True)) == set(theirs.keys(True, True))
+    assert (ours == theirs).all()
 
 
 def test_time_slices_are_not_one_memory():
