@@ -61,7 +61,7 @@ class RunFolder:
         config = _plain(config)
         if resume and overwrite:
             raise ValueError("resume and overwrite: only one of them can be set")
-        if self.path.exists() and any(self.path.iterdir()):
+        if self.path.exists() and any(file.suffix != ".part" for file in self.path.iterdir()):
             if not (self.path / _CONFIG).is_file():
                 raise FileExistsError(f"{self.path} exists and is not a run folder")
             if overwrite:

@@ -319,6 +319,8 @@ def train(
         rows = run.rows()
         if progress:
             progress(Progress(trainer.env_steps, config.total_steps, trainer.seconds, rows[-1]))
+    elif run:
+        run.keep_rows(0)  # of a run that was killed before its first checkpoint
     with stop_on_interrupt() if should_stop is None else nullcontext(should_stop) as is_stopped:
         result = _loop(trainer, rows, run, progress, is_stopped, logger)
     trainer.close()

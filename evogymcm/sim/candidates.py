@@ -8,8 +8,6 @@ The order (object by object, ref voxels outside, corners inside) is part of the 
 where a robot starts corner on corner with the terrain, the rounding of the sums decides what touches next.
 """
 
-import math
-
 import numpy as np
 
 from evogymcm.sim import lanes
@@ -241,13 +239,13 @@ def _range(first: float, last: float, n: int) -> tuple[int, int]:
 @inlined
 def _cells(low: float, high: float, n_cells: int) -> tuple[int, int]:
     """Returns the first and end world cells that the interval, SKIN wider, touches (none for NaN)."""
-    return _range(math.floor((low - SKIN) / VOXEL - _ROUNDING), math.floor((high + SKIN) / VOXEL + _ROUNDING), n_cells)
+    return _range(np.floor((low - SKIN) / VOXEL - _ROUNDING), np.floor((high + SKIN) / VOXEL + _ROUNDING), n_cells)
 
 
 @inlined
 def _lines(low: float, high: float, n_cells: int) -> tuple[int, int]:
     """Returns the first and end lines of the grid of world cells in the interval, SKIN wider (none for NaN)."""
-    first, last = math.ceil((low - SKIN) / VOXEL - _ROUNDING), math.floor((high + SKIN) / VOXEL + _ROUNDING)
+    first, last = np.ceil((low - SKIN) / VOXEL - _ROUNDING), np.floor((high + SKIN) / VOXEL + _ROUNDING)
     return _range(first, last, n_cells + 1)
 
 

@@ -1,13 +1,6 @@
 """Co-design: bookkeeping of its phases, exact scores, budgets, and resuming to the same result."""
 
-import json
-import os
-import signal
-import subprocess
-import sys
-import time
 from dataclasses import asdict, dataclass, replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -175,47 +168,3 @@ def test_bad_settings_are_refused():
     ):
         with pytest.raises(ValueError, match=message):
             replace(TINY, **changes)
-
-
-_CHILD = """
-import sys
-from dataclasses import asdict, replace
-from pathlib import Path
-sys.path.insert(0, {root!r})
-from evogymcm.algos import RunFolder
-from evogymcm.algos.codesign import codesign
-from tests.algos.test_codesign import TINY
-config = replace(TINY, arm="invariant")
-codesign(config, run=RunFolder(Path(sys.argv[1]), asdict(config), resume=True))
-"""
-
-
-@pytest.mark.slow
-def test_killed_at_random_moments_a_run_ends_the_same(tmp_path):
-    root = str(Path(__file__).parents[2])
-    command = [sys.executable, "-c", _CHILD.format(root=root), str(tmp_path / "killed")]
-    config = replace(TINY, arm="invariant")
-    whole = codesign(config, run=RunFolder(tmp_path / "whole", asdict(config)))
-    rng, kills = np.random.default_rng(0), 0
-    while kills < 10:
-        process = subprocess.Popen(command)
-        marks = [path.stat().st_mtime_ns for path in (tmp_path / "killed").rglob("*") if path.exists()]
-        start = time.monotonic()
-        while time.monotonic() - start < 60:  # until it works, then a random moment more
-            paths = list((tmp_path / "killed").rglob("*"))
-            if process.poll() is not None or len(paths) > len(marks):
-                break
-            time.sleep(0.01)
-        time.sleep(float(rng.uniform(0, 1.0)))
-        if process.poll() is not None:
-            break  # it has come to its end
-        os.kill(process.pid, signal.SIGKILL)
-        process.wait()
-        kills += 1
-    assert kills >= 3
-    subprocess.run(command, check=True)
-    killed = RunFolder(tmp_path / "killed", asdict(config), resume=True)
-    assert killed.rows() == json.loads(json.dumps(whole.rows))
-    index = whole.best.index
-    ours, theirs = (torch.load(tmp_path / name / f"policy-{index:04}.pt") for name in ("whole", "killed"))
-    assert all(torch.equal(ours["actor"][key], theirs["actor"][key]) for key in ours["actor"])
