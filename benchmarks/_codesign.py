@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 from _suite import PAPER
+from _text import aligned
 
 from evogymcm.algos import PPOConfig, RunFolder
 from evogymcm.algos.codesign import CodesignConfig, codesign
@@ -198,8 +199,7 @@ def table(rows: Sequence[Mapping[str, Any]]) -> str:
                 each,
             )
         )
-    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
-    return "\n".join("  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)) for line in lines)
+    return aligned(lines)
 
 
 def plot(runs: Sequence[Mapping[str, Any]], path: Path) -> None:

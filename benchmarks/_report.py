@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from _comparison import Interval, coverage, difference, improvement, interquartile_mean, normalise
 from _suite import ARMS, PAPER
+from _text import aligned
 
 CONTROL, TREATED = ARMS
 KINDS = {"final": "final score", "best": "best in training"}  # scores of a run that are compared
@@ -92,9 +93,9 @@ def overall(rows: Sequence[Row]) -> Row:
 
 def table(rows: Sequence[Row]) -> str:
     """Returns the summary as text: the paper's scores beside ours, then the gain of co-optimisation."""
-    parts = [_as_text(_score_lines(rows))]
+    parts = [aligned(_score_lines(rows))]
     if any("gain" in row for row in rows):
-        parts += [_as_text(_gain_lines(rows)), _as_text(_overall_lines(rows)), textwrap.fill(_note(rows), 120)]
+        parts += [aligned(_gain_lines(rows)), aligned(_overall_lines(rows)), textwrap.fill(_note(rows), 120)]
     return "\n\n".join(parts)
 
 
@@ -175,11 +176,6 @@ def _note(rows: Sequence[Row]) -> str:
     if 1 in counts:
         note += " One seed says nothing about the spread: an arm with a single one has no interval."
     return note
-
-
-def _as_text(lines: Sequence[Line]) -> str:
-    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
-    return "\n".join("  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)) for line in lines)
 
 
 def _as_markdown(lines: Sequence[Line]) -> str:

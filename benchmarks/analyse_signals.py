@@ -17,6 +17,7 @@ from typing import Annotated, Any
 import tyro
 from _signals import analyse_run
 from _suite import ARMS, PAPER
+from _text import aligned
 
 from evogymcm import robots
 
@@ -57,8 +58,7 @@ def table(summaries: Mapping[str, Mapping[str, Any]]) -> str:
                 _number(row["rise_rank"], ".2f"),
             )
         )
-    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
-    return "\n".join("  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)) for line in lines)
+    return aligned(lines)
 
 
 def _number(value: float | None, form: str, factor: float = 1.0) -> str:

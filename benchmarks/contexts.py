@@ -23,6 +23,7 @@ import numpy as np
 import tyro
 from _machine import commit, machine, usable_cores, versions
 from _suite import ARMS, PAPER, Job, Suite
+from _text import aligned
 from run_suite import run_all
 
 from evogymcm.algos import PPOConfig, RunFolder
@@ -133,8 +134,7 @@ def table(rows: Sequence[Mapping[str, Any]]) -> str:
         rate = "" if row["env_steps_per_s"] is None else f"{row['env_steps_per_s']:,.0f}"
         head = (row["task"], row["variant"], f"{row['env_steps']:,}", f"{row['mean']:.2f}{spread}", each)
         lines.append((*head, f"{row['best_in_training']:.2f}", f"{row['mean_of_curve']:.2f}", rate))
-    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
-    return "\n".join("  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)) for line in lines)
+    return aligned(lines)
 
 
 def plot(runs: Sequence[Mapping[str, Any]], path: Path) -> None:

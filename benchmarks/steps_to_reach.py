@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 from _codesign import best_at
+from _text import aligned
 
 Run = Mapping[str, Any]
 
@@ -84,8 +85,7 @@ def table(rows: Sequence[Mapping[str, Any]]) -> str:
         each = " ".join(count(steps) for steps in row["other_steps_of_each_seed"])
         counts = (count(row["steps"]), count(row["other_steps"]), share, each, f"{row['other_final']:.2f}")
         lines.append((row["task"], row["arm"], f"{row['score']:.2f}", *counts))
-    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
-    return "\n".join("  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)) for line in lines)
+    return aligned(lines)
 
 
 def main(arguments: Sequence[str]) -> int:
