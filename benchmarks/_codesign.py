@@ -120,7 +120,7 @@ def _suite(
 
 
 _SMALL = CodesignConfig(
-    population=6, budget=1000, max_env_steps=400_000, finetune_steps=4_096, ppo=_body_budget(25_000)
+    population=6, budget=1000, max_env_steps=600_000, finetune_steps=4_096, ppo=_body_budget(25_000)
 )
 _SHORTCUTS = {"inherit": True, "rungs": (0.4,), "keep": (0.5,)}  # policy inheritance and successive halving
 _MEDIUM = replace(

@@ -32,7 +32,7 @@ from _machine import commit, machine, usable_cores, versions
 from _suite import PRESETS, Job, Suite
 from tqdm import tqdm
 
-from evogymcm.algos import RunFolder, stop_on_interrupt
+from evogymcm.algos import RunFolder, keep_freed_memory, stop_on_interrupt
 
 _TYPICAL_RATE = 2_500  # env-steps per second of one process, updates included, on one core
 
@@ -110,6 +110,7 @@ def _start_worker(link: _Link) -> None:
     """Prepares a worker; Ctrl-C is the main process's to handle."""
     global _link
     _link = link
+    keep_freed_memory()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 

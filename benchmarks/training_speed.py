@@ -23,7 +23,7 @@ from _machine import commit, machine, versions
 from _runners import EvoGym, Runner
 from throughput import STANDARD_BODY, in_turn, progress
 
-from evogymcm.algos import PPOConfig
+from evogymcm.algos import PPOConfig, keep_freed_memory
 from evogymcm.algos.training import Trainer
 from evogymcm.body import Body, as_body
 from evogymcm.envs import SoftRobotEnv
@@ -205,6 +205,7 @@ def table_line(row: dict[str, Any]) -> str:
 
 def main(options: Options) -> None:
     """Measures the settings, and prints a row for each."""
+    keep_freed_memory()  # as `evogymcm train` does
     origin = {"machine": machine(), "versions": versions(), "commit": commit()}
     progress(f"{origin['machine']['cpu']}, {origin['machine']['cores']} cores")
     for material in options.materials:

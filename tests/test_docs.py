@@ -34,7 +34,7 @@ SHORT = {"codesign", "learning"}  # pages that play many whole episodes; here th
 NOT_SHOWN = {
     "population_env",  # PopulationEnv
     "parallel_env",  # BodiesParallelEnv
-    "MaskedSquashedNormal",
+    "MaskedClippedNormal",
     "VoxelActions",
     "Trainer",
     "stop_on_interrupt",

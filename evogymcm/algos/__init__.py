@@ -2,8 +2,9 @@
 
 from evogymcm.algos.actor import Actor, MLPActor, VoxelActor, load_actor, make_actor
 from evogymcm.algos.critic import MLPCritic, VoxelCritic, make_critic
-from evogymcm.algos.distributions import MaskedSquashedNormal, VoxelActions
+from evogymcm.algos.distributions import MaskedClippedNormal, VoxelActions
 from evogymcm.algos.evaluate import Evaluation, evaluate
+from evogymcm.algos.memory import keep_freed_memory
 from evogymcm.algos.ppo import PPOConfig, PPOLearner
 from evogymcm.algos.runs import RunFolder, stop_on_interrupt
 from evogymcm.algos.sharing import PerDesign, by_design, by_world, stack_states, take_state
@@ -15,7 +16,7 @@ __all__ = [
     "Evaluation",
     "MLPActor",
     "MLPCritic",
-    "MaskedSquashedNormal",
+    "MaskedClippedNormal",
     "PPOConfig",
     "PPOLearner",
     "PerDesign",
@@ -29,6 +30,7 @@ __all__ = [
     "by_design",
     "by_world",
     "evaluate",
+    "keep_freed_memory",
     "load_actor",
     "make_actor",
     "make_critic",

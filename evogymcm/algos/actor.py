@@ -12,8 +12,8 @@ from torchrl.envs import EnvBase, ExplorationType
 from torchrl.envs.utils import exploration_type
 
 from evogymcm.algos.context import CONTEXTS
-from evogymcm.algos.distributions import IDLE, MaskedSquashedNormal, VoxelActions
-from evogymcm.algos.features import N_INPUTS, Dense, NormalizedDense, voxel_frame, voxel_inputs
+from evogymcm.algos.distributions import IDLE, MaskedClippedNormal, VoxelActions
+from evogymcm.algos.features import N_INPUTS, Dense, NormalizedDense, compact, voxel_frame, voxel_inputs
 from evogymcm.algos.sharing import take_state
 
 __all__ = ["Actor", "MLPActor", "VoxelActor", "load_actor", "make_actor"]
@@ -21,7 +21,7 @@ __all__ = ["Actor", "MLPActor", "VoxelActor", "load_actor", "make_actor"]
 # Action entry -> observation that marks the voxels it drives, and the mean action before training. Actuation starts
 # in the middle of its range, stiffness at 1, where a co-optimised robot is the same robot as a control-only one.
 _HEADS: Mapping[str, tuple[str, float | None]] = {"actuation": ("actuators", None), "stiffness": ("occupancy", IDLE)}
-_REACH = 3.0  # means before squashing stay within this: 99.5 % of the range, and probabilities that stay finite
+_REACH = 2.0  # means stay within this many half ranges: a bound can be held, and left again
 
 
 class Actor(TensorDictModuleBase):
@@ -33,7 +33,7 @@ class Actor(TensorDictModuleBase):
     Args:
         in_keys: observations that the means depend on.
         ranges: action entry ("actuation", "stiffness") -> (low, high).
-        initial_std: standard deviation before squashing that training starts with (1 fills the range).
+        initial_std: standard deviation that training starts with, in half ranges of the action.
         copies: D, or None for a single policy.
 
     Raises:
@@ -64,7 +64,7 @@ class Actor(TensorDictModuleBase):
         starts = []
         for name, (low, high) in self.ranges.items():
             first = _HEADS[name][1]
-            scaled = 0.0 if first is None else math.atanh((2 * first - low - high) / (high - low))
+            scaled = 0.0 if first is None else (2 * first - low - high) / (high - low)
             starts.append(_REACH * math.atanh(scaled / _REACH))
         return torch.tensor(starts)
 
@@ -80,7 +80,7 @@ class Actor(TensorDictModuleBase):
             std = std.reshape(self.copies, *[1] * (means.dim() - 2), -1)
         return VoxelActions(
             {
-                name: MaskedSquashedNormal(
+                name: MaskedClippedNormal(
                     means[..., i], std[..., i], tensordict.get(_HEADS[name][0]), *self.ranges[name]
                 )
                 for i, name in enumerate(self.ranges)
@@ -111,12 +111,16 @@ class Actor(TensorDictModuleBase):
 
     @torch.no_grad()
     def limit_std(self, limit: float) -> None:
-        """Lowers standard deviations (before squashing) that are above `limit` to it."""
+        """Lowers standard deviations that are above `limit` to it."""
         self.log_std.clamp_(max=math.log(limit))
 
     def observe(self, tensordict: TensorDictBase) -> None:
         """Takes observations (any batch shape) into the running normalisation of the inputs."""
         raise NotImplementedError
+
+    def prepare(self, samples: TensorDictBase) -> TensorDictBase:
+        """Returns `samples` with what the networks' passes over them have in common done once."""
+        return samples
 
 
 class VoxelActor(Actor):
@@ -129,7 +133,7 @@ class VoxelActor(Actor):
         task_features: features of the task, G.
         ranges: action entry ("actuation", "stiffness") -> (low, high).
         hidden: width of both hidden layers.
-        initial_std: standard deviation before squashing that training starts with (1 fills the range).
+        initial_std: standard deviation that training starts with, in half ranges of the action.
         context: what a voxel knows of the rest of its body: "none", "body" (the mean over it), "message" (also what
             its neighbours encode) or "attention".
         columns: of the padded grid; it matters to messages only, and is no weight: set it anew for another grid.
@@ -173,6 +177,12 @@ class VoxelActor(Actor):
         context = self.context(encoded, occupancy, types, self.columns) + self.task(task).unsqueeze(-2)
         return self.heads(torch.relu(self.local(encoded) + context))
 
+    def prepare(self, samples: TensorDictBase) -> TensorDictBase:
+        """Returns `samples` without empty cells, as far as the context allows, and with `voxel_inputs`."""
+        if not self.context.needs_grid:
+            samples = compact(samples)
+        return samples.set("voxel_inputs", voxel_inputs(samples)).exclude("voxels")
+
     def observe(self, tensordict: TensorDictBase) -> None:
         """Takes observations (any batch shape) into the running normalisation of the inputs."""
         self.encode.observe(voxel_inputs(tensordict), tensordict.get("occupancy"))
@@ -187,7 +197,7 @@ class MLPActor(Actor):
         n_cells: cells of the body's grid, V.
         ranges: action entry ("actuation", "stiffness") -> (low, high).
         hidden: width of both hidden layers.
-        initial_std: standard deviation before squashing that training starts with (1 fills the range).
+        initial_std: standard deviation that training starts with, in half ranges of the action.
         copies: policies with weights of their own; None for one.
     """
 
@@ -236,7 +246,7 @@ def make_actor(
     Args:
         env: a SoftRobotEnv.
         hidden: width of the hidden layers.
-        initial_std: standard deviation before squashing that training starts with (1 fills the range).
+        initial_std: standard deviation that training starts with, in half ranges of the action.
         network: "voxel", or "mlp" for the plain network on the flat observation, where all bodies are equal.
         context: of the voxel network, see `VoxelActor`.
         copies: policies with weights of their own; None for one.

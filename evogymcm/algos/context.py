@@ -24,6 +24,8 @@ class Context(nn.Module):
         copies: as for `Dense`.
     """
 
+    needs_grid = False  # whether it depends on the places of voxels in the grid
+
     def __init__(self, hidden: int, copies: int | None = None) -> None:
         super().__init__()
         self.hidden = hidden
@@ -55,6 +57,8 @@ class BodyContext(Context):
 
 class MessageContext(BodyContext):
     """A message from each connected neighbour, weighted by its side, and the mean over the body."""
+
+    needs_grid = True
 
     def __init__(self, hidden: int, copies: int | None = None) -> None:
         super().__init__(hidden, copies)

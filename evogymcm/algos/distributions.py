@@ -11,26 +11,29 @@ from tensordict import TensorDict
 from torch import Tensor
 from torch.distributions import Distribution
 from torch.distributions.constraints import Constraint
-from torch.nn.functional import softplus
+from torch.special import log_ndtr
 
-__all__ = ["IDLE", "MaskedSquashedNormal", "VoxelActions"]
+__all__ = ["IDLE", "MaskedClippedNormal", "VoxelActions"]
 
 Shape = torch.Size | list[int] | tuple[int, ...]
 
 IDLE = 1.0  # rest length and unit stiffness: what voxels that are not driven are given
-_EDGE = 1 - 1e-6  # actions on the bounds are read as this far out, so that their log-probability is finite
+_EDGE = 1 - 1e-6  # from here on an action is on its bound: clipped ones are, but for rounding
 _ONE = torch.Size()  # a single draw
 _HALF_LOG_TAU = 0.5 * math.log(2 * math.pi)
 
 
-class MaskedSquashedNormal(Distribution):
-    """One tanh-squashed Gaussian per voxel; voxels outside `mask` emit `IDLE` and count in no sum.
+class MaskedClippedNormal(Distribution):
+    """One Gaussian per voxel, clipped to the action's range; voxels outside `mask` emit `IDLE` and count in no sum.
 
-    A draw is `mid + half * tanh(u)` with `u ~ Normal(loc, scale)`, so it lies within `[low, high]` without clipping.
+    A draw is `mid + half * u` with `u ~ Normal(loc, scale)`, moved to the nearer bound where it lies outside
+    `[low, high]`. A bound is therefore drawn with a probability of its own, and it is that probability which
+    `log_prob` returns there, as in Fujita and Maeda, "Clipped Action Policy Gradient", 2018. A policy can thus hold
+    a voxel fully contracted, which a squashed Gaussian only comes close to.
 
     Args:
-        loc: means before squashing, (..., V).
-        scale: standard deviations before squashing, positive, broadcastable to `loc`.
+        loc: means in half ranges from the middle (the bounds are -1 and 1), (..., V).
+        scale: standard deviations in half ranges, positive, broadcastable to `loc`.
         mask: which voxels are driven, bool, (..., V).
         low: lower bound of the action.
         high: upper bound of the action.
@@ -47,10 +50,10 @@ class MaskedSquashedNormal(Distribution):
 
     def with_noise(self, noise: Tensor) -> Tensor:
         """Returns the action that standard normal `noise` (..., V) gives."""
-        return self._squash(self.loc + self.scale * noise)
+        return self._clip(self.loc + self.scale * noise)
 
-    def _squash(self, u: Tensor) -> Tensor:
-        return torch.where(self.mask, self.mid + self.half * torch.tanh(u), IDLE)
+    def _clip(self, u: Tensor) -> Tensor:
+        return torch.where(self.mask, (self.mid + self.half * u).clamp(self.low, self.high), IDLE)
 
     def rsample(self, sample_shape: Shape = _ONE) -> Tensor:
         """Returns a differentiable draw, (*sample_shape, ..., V)."""
@@ -58,16 +61,20 @@ class MaskedSquashedNormal(Distribution):
         return self.with_noise(torch.randn(shape, dtype=self.loc.dtype, device=self.loc.device))
 
     def log_prob(self, value: Tensor) -> Tensor:
-        """Returns the log-density of `value` (..., V), summed over the driven voxels: (...)."""
-        u = torch.atanh(((value - self.mid) / self.half).clamp(-_EDGE, _EDGE))
-        gaussian = -0.5 * ((u - self.loc) / self.scale).square() - self.scale.log() - _HALF_LOG_TAU
-        log_slope = math.log(self.half) + 2 * (math.log(2) - u - softplus(-2 * u))  # of mid + half * tanh(u)
-        return torch.where(self.mask, gaussian - log_slope, 0).sum(-1)
+        """Returns the log-density of `value` (..., V) within the range, the log-probability of a bound on it.
+
+        Summed over the driven voxels: (...).
+        """
+        u = (value - self.mid) / self.half
+        density = -0.5 * ((u - self.loc) / self.scale).square() - self.scale.log() - _HALF_LOG_TAU - math.log(self.half)
+        side = torch.where(u < 0, -1.0, 1.0)
+        bound = log_ndtr((side * self.loc - 1) / self.scale)
+        return torch.where(self.mask, torch.where(u.abs() > _EDGE, bound, density), 0).sum(-1)
 
     def entropy(self) -> Tensor:
-        """Returns the entropy before squashing, summed over the driven voxels: (...).
+        """Returns the entropy before clipping, summed over the driven voxels: (...).
 
-        The squashed one has no closed form; as an exploration bonus this one serves.
+        As an exploration bonus it serves: it grows with the noise, also where most of it is clipped.
         """
         entropy = self.scale.log() + 0.5 + _HALF_LOG_TAU
         return torch.where(self.mask, entropy, 0).sum(-1)
@@ -75,11 +82,11 @@ class MaskedSquashedNormal(Distribution):
     @property
     def mode(self) -> Tensor:
         """The action of the middle of the Gaussian, `IDLE` where nothing is driven: (..., V)."""
-        return self._squash(self.loc)
+        return self._clip(self.loc)
 
     @property
     def mean(self) -> Tensor:
-        """The deterministic action (the exact mean of a squashed Gaussian has no closed form)."""
+        """The deterministic action, the same as `mode`; the mean of the clipped Gaussian lies nearer the middle."""
         return self.mode
 
 
@@ -95,7 +102,7 @@ class VoxelActions(Distribution):
 
     arg_constraints: ClassVar[dict[str, Constraint]] = {}
 
-    def __init__(self, heads: Mapping[str, MaskedSquashedNormal]) -> None:
+    def __init__(self, heads: Mapping[str, MaskedClippedNormal]) -> None:
         self.heads = dict(heads)
         super().__init__(next(iter(self.heads.values())).batch_shape, validate_args=False)
 

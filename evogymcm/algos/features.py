@@ -6,19 +6,44 @@ from torch import Tensor, nn
 
 from evogymcm.envs.voxels import N_FEATURES, N_SIDES, N_TYPES, POSITIONS, VELOCITIES
 
-__all__ = ["N_INPUTS", "Dense", "NormalizedDense", "affine", "pool", "voxel_frame", "voxel_inputs"]
+__all__ = ["N_INPUTS", "Dense", "NormalizedDense", "affine", "compact", "pool", "voxel_frame", "voxel_inputs"]
 
 N_INPUTS = N_FEATURES + N_SIDES * (N_TYPES - 1)  # of a voxel, as `voxel_inputs` gives them
+_OF_VOXELS = ("voxels", "types", "occupancy", "actuators")  # entries (..., V) or (..., V, features), as are actions
 _CORNERS = 4
 _MIN_STD = 1e-3  # features that vary less are taken as constant and left unscaled
 
 
 def voxel_inputs(tensordict: TensorDictBase) -> Tensor:
-    """Returns what voxels sense, then the types of each and of its neighbours one-hot: (..., V, N_INPUTS)."""
+    """Returns what voxels sense, then the types of each and of its neighbours one-hot: (..., V, N_INPUTS).
+
+    Where `tensordict` holds them already, as `voxel_inputs`, those.
+    """
+    if (known := tensordict.get("voxel_inputs", None)) is not None:
+        return known
     voxels, types = tensordict.get("voxels"), tensordict.get("types")
     codes = torch.arange(1, N_TYPES, dtype=types.dtype, device=types.device)
     one_hot = (types.unsqueeze(-1) == codes).flatten(-2)
     return torch.cat([voxels, one_hot.to(voxels.dtype)], -1)
+
+
+def compact(tensordict: TensorDictBase) -> TensorDictBase:
+    """Returns the same samples in the least number of cells, V', each body's voxels first and in their order.
+
+    What depends on a voxel's place in the grid cannot be computed from them any more; all else stays as it is.
+
+    Args:
+        tensordict: observations, and maybe actions, of any batch shape.
+    """
+    occupancy = tensordict.get("occupancy")
+    order = torch.sort(occupancy.logical_not().to(torch.uint8), dim=-1, stable=True).indices
+    order = order[..., : int(occupancy.sum(-1).max())]
+    out = tensordict.clone(recurse=False)
+    for key, value in tensordict.items(include_nested=True, leaves_only=True):
+        if key in _OF_VOXELS or key[0] == "action":
+            index = order.reshape(*order.shape, *[1] * (value.dim() - order.dim()))
+            out[key] = value.gather(order.dim() - 1, index.expand(*order.shape, *value.shape[order.dim() :]))
+    return out
 
 
 def voxel_frame() -> Tensor:

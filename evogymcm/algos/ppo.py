@@ -53,7 +53,7 @@ class PPOConfig:
         gamma: discount per env-step.
         gae_lambda: of the advantage estimate.
         clip: how far the probability ratio may move from 1.
-        entropy_weight: of the exploration bonus (entropy before squashing, summed over voxels and heads).
+        entropy_weight: of the exploration bonus (entropy before clipping, summed over voxels and heads).
         value_weight: of the critic's squared error.
         max_grad_norm: limit of the gradient's norm, of actor and critic each.
         target_kl: an update stops after an epoch that moved the policy further than 1.5 times this; 0 for no limit.
@@ -62,7 +62,7 @@ class PPOConfig:
         network: "voxel" (shared by all voxels of any body) or "mlp" (plain, on the flat observation of one body).
         context: what a voxel knows of the rest of its body, see `VoxelActor`.
         sharing: "shared" (one set of weights for all designs) or "independent" (a set for each, trained side by side).
-        initial_std: exploration at the start, standard deviation before squashing.
+        initial_std: exploration at the start: standard deviation in half ranges of the action.
         final_std: the most exploration at the end; the limit falls geometrically from `initial_std`. A policy that has
             only ever acted with much noise may get stuck without it.
         schedule: which part of the schedules of learning rate and exploration the run covers: (0, 1) is all of it.
@@ -201,6 +201,7 @@ class PPOLearner:
         targets = outcome["value_target"]
         explained = 1 - (targets - values).var() / targets.var().clamp_min(1e-12)
         samples = self._rows(rollout.select(*self.actor.in_keys, *self.critic.in_keys, "action", "action_log_prob"))
+        samples = self.actor.prepare(samples)
         advantage = self._rows(outcome["advantage"])
         spread = advantage.std(-2, keepdim=True).clamp_min(1e-6)
         samples["advantage"] = (advantage - advantage.mean(-2, keepdim=True)) / spread

@@ -107,6 +107,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _codesign(given: Any, arguments: Sequence[str]) -> int:
     from evogymcm.algos.codesign import codesign
+    from evogymcm.algos.memory import keep_freed_memory
 
     config = given.config
     check(config)
@@ -119,6 +120,7 @@ def _codesign(given: Any, arguments: Sequence[str]) -> int:
     if limit < cost.total:
         print(f"ends with the generation in which {limit:,} env-steps are reached", flush=True)
     with Bar(limit) as bar:
+        keep_freed_memory()
         result = codesign(config, run=folder, progress=lambda state: _show(bar, state))
         if result.finished and result.best is not None:  # with what scoring has done since the last update
             bar.show(result.env_steps, {"best": f"{result.best.fitness:.3f}"})

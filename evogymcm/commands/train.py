@@ -104,7 +104,7 @@ def run(args: argparse.Namespace) -> int:
 def _train(given: Any, arguments: Sequence[str]) -> int:
     from dataclasses import asdict
 
-    from evogymcm.algos import Trainer, train
+    from evogymcm.algos import Trainer, keep_freed_memory, train
     from evogymcm.envs import SoftRobotEnv
 
     bodies = list(given.body) or [default_body(given.task)]
@@ -132,6 +132,7 @@ def _train(given: Any, arguments: Sequence[str]) -> int:
     folder = open_run(path, config, resume=given.resume, overwrite=given.overwrite)
     logger = make_logger(given.logger, path)
     with Bar(given.ppo.total_steps) as bar:
+        keep_freed_memory()
         result = train(make_env, given.ppo, run=folder, progress=partial(_show, bar, {}), logger=logger)
     folder.write_json("result.json", _record(given.task, bodies, given.ppo, result))
     if result.final is None:

@@ -3,32 +3,40 @@
 import pytest
 import torch
 from tensordict import TensorDict
-from torch.distributions import AffineTransform, Normal, TanhTransform, TransformedDistribution
+from torch.distributions import AffineTransform, Normal, TransformedDistribution
 
-from evogymcm.algos.distributions import IDLE, MaskedSquashedNormal, VoxelActions
+from evogymcm.algos.distributions import IDLE, MaskedClippedNormal, VoxelActions
 
 LOW, HIGH = 0.6, 1.6
 
 
-def _head(batch: int = 5, voxels: int = 7, low: float = LOW, high: float = HIGH) -> MaskedSquashedNormal:
+def _head(batch: int = 5, voxels: int = 7, low: float = LOW, high: float = HIGH) -> MaskedClippedNormal:
     generator = torch.Generator().manual_seed(0)
     loc = torch.randn(batch, voxels, generator=generator, dtype=torch.float64)
     scale = torch.rand(batch, voxels, generator=generator, dtype=torch.float64) + 0.1
     mask = torch.rand(batch, voxels, generator=generator) < 0.6
-    return MaskedSquashedNormal(loc, scale, mask, low, high)
+    return MaskedClippedNormal(loc, scale, mask, low, high)
 
 
-def _reference(head: MaskedSquashedNormal) -> TransformedDistribution:
-    transforms = [TanhTransform(), AffineTransform((head.low + head.high) / 2, (head.high - head.low) / 2)]
-    return TransformedDistribution(Normal(head.loc, head.scale), transforms)
+def _reference(head: MaskedClippedNormal) -> TransformedDistribution:
+    """Before clipping."""
+    return TransformedDistribution(
+        Normal(head.loc, head.scale), [AffineTransform((head.low + head.high) / 2, (head.high - head.low) / 2)]
+    )
 
 
 def test_log_prob_is_torchs_over_the_driven_voxels():
     head = _head()
     actions = head.rsample()
     actions = torch.where(head.mask, actions, 1.234)  # what stands on other voxels must not matter
-    expected = (_reference(head).log_prob(actions) * head.mask).sum(-1)
-    torch.testing.assert_close(head.log_prob(actions), expected)
+    reference = _reference(head)
+    log_density = reference.log_prob(actions)
+    low = reference.cdf(torch.full_like(actions, LOW)).log()
+    high = (1 - reference.cdf(torch.full_like(actions, HIGH))).log()
+    expected = torch.where(actions == LOW, low, torch.where(actions == HIGH, high, log_density))
+    assert (actions == LOW).any()
+    assert (actions == HIGH).any()
+    torch.testing.assert_close(head.log_prob(actions), (expected * head.mask).sum(-1))
 
 
 def test_entropy_is_the_gaussians_over_the_driven_voxels():
@@ -36,10 +44,28 @@ def test_entropy_is_the_gaussians_over_the_driven_voxels():
     torch.testing.assert_close(head.entropy(), (Normal(head.loc, head.scale).entropy() * head.mask).sum(-1))
 
 
-def test_density_integrates_to_one():
-    head = MaskedSquashedNormal(torch.tensor([0.3]), torch.tensor([0.7]), torch.tensor([True]), 0.5, 2.0)
+def test_density_and_bounds_add_up_to_one():
+    head = MaskedClippedNormal(torch.tensor([0.3]), torch.tensor([0.7]), torch.tensor([True]), 0.5, 2.0)
     grid = torch.linspace(0.5, 2.0, 20_001, dtype=torch.float64)[1:-1].unsqueeze(-1)
-    assert torch.trapezoid(head.log_prob(grid).exp(), grid.squeeze(-1)).item() == pytest.approx(1, abs=1e-3)
+    density = torch.trapezoid(head.log_prob(grid).exp(), grid.squeeze(-1))
+    bounds = head.log_prob(torch.tensor([[0.5], [2.0]])).exp().sum()
+    assert (density + bounds).item() == pytest.approx(1, abs=1e-3)
+    assert 0.1 < bounds < 0.5
+
+
+@pytest.mark.parametrize("loc", [-1.5, 0.2, 1.5])
+def test_bounds_are_drawn_as_often_as_log_prob_says(loc):
+    torch.manual_seed(0)
+    head = MaskedClippedNormal(torch.tensor([loc]), torch.tensor([0.6]), torch.tensor([True]), LOW, HIGH)
+    draws = head.rsample(torch.Size([100_000]))
+    for bound in (LOW, HIGH):
+        expected = head.log_prob(torch.tensor([bound])).exp().item()
+        assert (draws == bound).double().mean().item() == pytest.approx(expected, abs=0.01)
+
+
+def test_a_mean_beyond_the_bound_holds_it():
+    head = MaskedClippedNormal(torch.tensor([-1.2]), torch.tensor([0.1]), torch.tensor([True]), LOW, HIGH)
+    assert head.mode.item() == pytest.approx(LOW, abs=1e-7)
 
 
 def test_samples_stay_in_range_and_idle_elsewhere():
@@ -56,7 +82,7 @@ def test_samples_stay_in_range_and_idle_elsewhere():
 @pytest.mark.parametrize("bound", [LOW, HIGH])
 def test_log_prob_and_gradient_on_the_bounds_are_finite(bound):
     loc = torch.zeros(1, 2, requires_grad=True)
-    head = MaskedSquashedNormal(loc, torch.tensor(0.5), torch.ones(1, 2, dtype=torch.bool), LOW, HIGH)
+    head = MaskedClippedNormal(loc, torch.tensor(0.5), torch.ones(1, 2, dtype=torch.bool), LOW, HIGH)
     log_prob = head.log_prob(torch.full((1, 2), bound))
     log_prob.sum().backward()
     assert log_prob.isfinite().all()
@@ -66,7 +92,7 @@ def test_log_prob_and_gradient_on_the_bounds_are_finite(bound):
 def test_padding_gets_no_gradient():
     loc = torch.zeros(1, 3, requires_grad=True)
     mask = torch.tensor([[True, False, True]])
-    head = MaskedSquashedNormal(loc, torch.tensor(0.5), mask, LOW, HIGH)
+    head = MaskedClippedNormal(loc, torch.tensor(0.5), mask, LOW, HIGH)
     (head.log_prob(torch.full((1, 3), 1.3)) + head.entropy()).sum().backward()
     assert loc.grad[0, 1] == 0
     assert (loc.grad[0, ::2] != 0).all()

@@ -56,6 +56,26 @@ def test_outputs_do_not_depend_on_padding():
     torch.testing.assert_close(critic(observation)["state_value"], critic(padded)["state_value"])
 
 
+@pytest.mark.parametrize("context", ["none", "body", "message", "attention"])
+def test_prepared_samples_give_the_same(context):
+    env = ToyEnv(bodies=[SMALL, WIDE], num_worlds=4)
+    torch.manual_seed(0)
+    actor, critic = make_actor(env, context=context), make_critic(env)
+    with torch.no_grad():
+        actor.heads.weight.mul_(100)
+    samples = env.rollout(3, policy=actor).flatten()
+    samples = samples.select(*actor.in_keys, "action", "action_log_prob")
+    cells = samples["occupancy"].shape[-1]
+    prepared = actor.prepare(samples.clone())
+    most = samples["occupancy"].sum(-1).max()
+    assert cells > most
+    assert prepared["occupancy"].shape[-1] == (cells if context == "message" else most)
+    torch.testing.assert_close(prepared["occupancy"].sum(-1), samples["occupancy"].sum(-1))
+    torch.testing.assert_close(prepared["task"], samples["task"])
+    torch.testing.assert_close(actor.get_dist(prepared).log_prob(prepared["action"]), samples["action_log_prob"])
+    torch.testing.assert_close(critic(prepared)["state_value"], critic(samples)["state_value"])
+
+
 def test_outputs_do_not_depend_on_the_other_bodies_of_the_batch():
     env = ToyEnv(bodies=[SMALL, WIDE], num_worlds=4)
     actor, critic = _trained_like(env)
