@@ -121,10 +121,7 @@ class Codesign:
 
     def _design(self, individual: Individual) -> Design:
         """Returns the design as it is simulated in this arm."""
-        design = individual.design
-        if self.config.arm == "prescribed":
-            return Design(design.body, np.where(design.body.occupancy, self.config.prescribed, 1.0))
-        return design
+        return individual.design.in_arm(self.config.arm, self.config.prescribed)
 
     def _folder(self, name: str) -> RunFolder | None:
         """Returns the folder of a training, gone on with where there is one."""

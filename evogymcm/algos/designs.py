@@ -45,6 +45,12 @@ class Design:
         """The body's codes as digits, row-major: what counts as the same body. Stiffness plays no part (EvoGym)."""
         return "".join(str(code) for code in self.body.grid.ravel())
 
+    def in_arm(self, arm: str, prescribed: float) -> "Design":
+        """Returns the design as an arm of co-design simulates it; in "prescribed" all voxels have one stiffness."""
+        if arm != "prescribed":
+            return self
+        return Design(self.body, np.where(self.body.occupancy, prescribed, 1.0))
+
     def record(self) -> dict[str, Any]:
         """Returns the design as JSON has it; `from_record` reads it back."""
         body = self.body

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:  # numba and torch are loaded when a command runs, not for its help
     import numpy as np
 
-    from evogymcm.algos.designs import Design
     from evogymcm.body import Body
     from evogymcm.envs.core import TaskEngine
 
@@ -33,17 +32,6 @@ class Trained:
     bodies: "list[str | Body] | None"
     stiffness: "list[np.ndarray] | None"
     edge_rule: str
-
-
-def simulated(design: "Design", arm: str, prescribed: float) -> "Design":
-    """Returns a design of co-design as that arm simulates it."""
-    if arm != "prescribed":
-        return design
-    import numpy as np
-
-    from evogymcm.algos.designs import Design
-
-    return Design(design.body, np.where(design.body.occupancy, prescribed, 1.0))
 
 
 def load_trained(path: Path) -> Trained:
@@ -70,8 +58,7 @@ def load_trained(path: Path) -> Trained:
 
         if saved["champion"] is None:
             raise ValueError(f"policy: {path} has no trained design yet")
-        design = Design.from_record(saved["champion"]["individual"])
-        design = simulated(design, config["arm"], config["prescribed"])
+        design = Design.from_record(saved["champion"]["individual"]).in_arm(config["arm"], config["prescribed"])
         bodies, stiffness, saved = [design.body], [np.array(design.field)], saved["champion"]["policy"]
     elif found.parent == path and isinstance(config.get("bodies"), list):
         bodies = config["bodies"]

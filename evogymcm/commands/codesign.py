@@ -224,11 +224,10 @@ def _print_best(config: "CodesignConfig", result: "CodesignResult", path: Path) 
     import numpy as np
 
     from evogymcm.algos.generation import score_alone
-    from evogymcm.commands._policies import simulated
 
     assert result.best is not None
     assert result.policy is not None
-    design = simulated(result.best.design, config.arm, config.prescribed)
+    design = result.best.design.in_arm(config.arm, config.prescribed)
     alone = score_alone(config.make_arena(), [design], [result.policy])
     score, ceiling = alone.score[0], alone.ceiling[0]
     bound = "" if np.isnan(ceiling) else f" of at most {ceiling:.2f} ({score / ceiling:.1%})"

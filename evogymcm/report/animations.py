@@ -114,9 +114,7 @@ def _stage(scene: Scene) -> tuple[Any, Any, str]:
         design = Design(as_body(scene.run.body), None if fields is None else fields[0])
     else:
         design = Design.from_record({"connections": None, "stiffness": None} | dict(scene.design))
-        if config.get("arm") == "prescribed":
-            field = np.where(design.body.occupancy, config.get("prescribed", 1.0), 1.0)
-            design = Design(design.body, field)
+        design = design.in_arm(config.get("arm", ""), config.get("prescribed", 1.0))
     env = arena.make([design])
     actor.columns = env.grid_shape[1]
     return env, actor, material

@@ -1,4 +1,4 @@
-"""The genetic algorithm over bodies, random search and successive halving, on objectives that need no simulator."""
+"""The genetic algorithm over bodies and random search, on objectives that need no simulator."""
 
 import io
 import json
@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 import torch
 
-from evogymcm.algos.designs import Design, Individual, mutate_design
-from evogymcm.algos.evolution import GeneticAlgorithm, HalvingSchedule, RandomSearch, survivor_count
-from evogymcm.body import Body, mutate_body, sample_body
+from evogymcm.algos.evolution import GeneticAlgorithm, RandomSearch, survivor_count
+from evogymcm.body import Body
 
 SHAPE = (5, 5)
 
@@ -45,65 +44,6 @@ def through_torch(state):
     torch.save(state, file)
     file.seek(0)
     return torch.load(file, weights_only=True)
-
-
-# Designs
-
-
-def test_designs_are_checked_and_read_only():
-    body = Body("HR/.R")
-    design = Design(body, [[0.5, 2.0], [9.0, 1.0]])
-    np.testing.assert_array_equal(design.stiffness, [[0.5, 2.0], [1.0, 1.0]])
-    with pytest.raises(ValueError, match="read-only"):
-        design.stiffness[0, 0] = 1.0
-    with pytest.raises(ValueError, match="stiffness"):
-        Design(body, np.full((2, 2), 3.0))
-    np.testing.assert_array_equal(Design(body).field, np.ones((2, 2)))
-
-
-def test_the_key_is_the_bodys_codes_alone():
-    body = Body("HR/.R")
-    assert Design(body).key == Design(body, np.full((2, 2), 2.0)).key == "3101"
-    assert Design(Body("VR/.R")).key == "4101"
-    assert Design(body) == Design(body, np.ones((2, 2)))
-    assert Design(body) != Design(body, np.full((2, 2), 2.0))
-    assert Design(body) != body
-    assert hash(Design(body)) == hash(Design(body, np.ones((2, 2))))
-
-
-@pytest.mark.parametrize("stiffness", [None, [[0.7, 1.0 / 3.0 + 0.5], [1.0, 1.0]]])
-@pytest.mark.parametrize("connections", [None, [[0], [1]]])
-def test_records_come_back_as_they_were(stiffness, connections):
-    design = Design(Body("HR/RR", connections), stiffness)
-    individual = Individual(3, design, parent=1, generation=2, fitness=0.1 + 0.2)
-    assert Individual.from_record(through_json(individual.record())) == individual
-
-
-def test_children_inherit_stiffness_where_a_cell_kept_its_type():
-    rng = np.random.default_rng(0)
-    changed = kept = 0
-    for _ in range(100):
-        parent = Design(sample_body(SHAPE, rng), rng.uniform(0.5, 2.0, SHAPE))
-        child = mutate_design(parent, rng)
-        if child is None:
-            continue
-        for cell in np.ndindex(SHAPE):
-            if child.body.grid[cell] == parent.body.grid[cell]:
-                assert child.stiffness[cell] == parent.stiffness[cell]
-                kept += child.body.grid[cell] != 0
-            else:
-                assert child.stiffness[cell] == 1.0
-                changed += 1
-    assert changed > 100
-    assert kept > 100
-
-
-def test_mutation_draws_like_that_of_bodies():
-    parent = Design(Body("HHH/HHH/HHH"))
-    bodies = [mutate_body(parent.body, np.random.default_rng(seed), 0.3, 2) for seed in range(20)]
-    designs = [mutate_design(parent, np.random.default_rng(seed), 0.3, 2) for seed in range(20)]
-    assert [design and design.body for design in designs] == bodies
-    assert all(design is None or design.stiffness is None for design in designs)
 
 
 # The genetic algorithm
@@ -478,63 +418,3 @@ def test_a_shape_without_further_bodies_is_an_error(monkeypatch):
     search = GeneticAlgorithm((1, 1), 3, 6, seed=0)  # there are H and V
     with pytest.raises(RuntimeError, match=r"shape \(1, 1\) after 2 bodies"):
         search.ask()
-
-
-# Successive halving
-
-
-def test_the_better_half_goes_on():
-    schedule = HalvingSchedule(rungs=(0.25, 0.5), keep=(0.5, 0.4))
-    fitness = {4: 1.0, 7: 3.0, 9: 2.0, 11: 5.0, 12: -1.0}
-    assert schedule.promote(fitness, 0) == [11, 7, 9]  # half of five, rounded up
-    assert schedule.promote({index: fitness[index] for index in (11, 7, 9)}, 1) == [11, 7]
-    assert schedule.promote(fitness, 0, at_least=4) == [11, 7, 9, 4]
-    assert schedule.promote(fitness, 0, at_least=40) == [11, 7, 9, 4, 12]
-    assert schedule.promote({3: 0.5}, 0) == [3]
-    assert schedule.promote({}, 0) == []
-
-
-def test_of_equals_the_first_go_on():
-    assert HalvingSchedule().promote({5: 0.0, 2: 0.0, 9: 0.0, 1: 0.0}, 0) == [5, 2]
-    assert HalvingSchedule().promote({5: 0.0, 2: 1.0, 9: 1.0, 1: 0.0}, 0) == [2, 9]
-    assert HalvingSchedule(keep=(0.75, 0.5)).promote({5: 0.0, 2: 1.0, 9: 1.0, 1: 0.0}, 0) == [2, 9, 5]
-
-
-def test_counts_are_not_raised_by_rounding_errors():
-    assert 0.07 * 100 > 7.0
-    assert HalvingSchedule((0.5,), (0.07,)).count(0, 100) == 7
-    assert HalvingSchedule((0.5,), (0.071,)).count(0, 100) == 8
-
-
-def test_cost_by_hand():
-    # 16 bodies for a quarter, 8 for another, 4 for the rest.
-    assert HalvingSchedule().cost(16) == pytest.approx(16 / 4 + 8 / 4 + 4 / 2)
-    assert HalvingSchedule().cost(16, at_least=6) == pytest.approx(16 / 4 + 8 / 4 + 6 / 2)
-    assert HalvingSchedule((), ()).cost(16) == 16.0
-
-
-@pytest.mark.parametrize(
-    ("rungs", "keep", "message"),
-    [
-        ((0.5, 0.25), (0.5, 0.5), "rungs"),
-        ((0.0, 0.5), (0.5, 0.5), "rungs"),
-        ((0.5, 1.0), (0.5, 0.5), "rungs"),
-        ((0.5, np.nan), (0.5, 0.5), "rungs"),
-        ((0.5,), (0.5, 0.5), "expected 1 shares"),
-        ((0.5,), (0.0,), "keep"),
-        ((0.5,), (1.1,), "keep"),
-    ],
-)
-def test_bad_schedules_are_refused(rungs, keep, message):
-    with pytest.raises(ValueError, match=message):
-        HalvingSchedule(rungs, keep)
-
-
-def test_bad_promotions_are_refused():
-    schedule = HalvingSchedule()
-    with pytest.raises(ValueError, match="rung: got 2, expected 0 to 1"):
-        schedule.promote({0: 1.0}, 2)
-    with pytest.raises(ValueError, match="at_least"):
-        schedule.promote({0: 1.0}, 0, at_least=0)
-    with pytest.raises(ValueError, match="finite"):
-        schedule.promote({0: np.nan}, 0)
