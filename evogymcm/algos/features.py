@@ -1,5 +1,7 @@
 """Building blocks of the networks: well-scaled inputs from observations, and layers stacked over designs."""
 
+from typing import Any
+
 import torch
 from tensordict import TensorDictBase
 from torch import Tensor, nn
@@ -110,7 +112,7 @@ class NormalizedDense(Dense):
     """Linear layer whose inputs are first mapped by `frame`, then shifted and scaled by running statistics.
 
     Both steps are linear, so they are folded into the weights and cost nothing per sample. The statistics are buffers:
-    they are saved with the module and change only in `observe`.
+    they are saved with the module and change only in `observe`, and so does what is computed from them.
 
     Args:
         in_features: size of the last dimension of the input.
@@ -123,6 +125,8 @@ class NormalizedDense(Dense):
     mean: Tensor
     var: Tensor
     frame: Tensor | None
+    scale: Tensor  # of inputs: (mapped, in_features), or (mapped,) without a frame
+    shift: Tensor  # of scaled inputs: (mapped,)
 
     def __init__(
         self, in_features: int, out_features: int, frame: Tensor | None = None, copies: int | None = None
@@ -134,14 +138,27 @@ class NormalizedDense(Dense):
         self.register_buffer("count", torch.zeros(*lead, 1, dtype=torch.float64))
         self.register_buffer("mean", torch.zeros(*lead, mapped, dtype=torch.float64))
         self.register_buffer("var", torch.ones(*lead, mapped, dtype=torch.float64))
+        self.register_buffer("scale", None, persistent=False)
+        self.register_buffer("shift", None, persistent=False)
+        self._fold()
+
+    def _fold(self) -> None:
+        """Brings `scale` and `shift` up to date with the statistics."""
+        std, dtype = self.var.sqrt(), self.weight.dtype
+        gain = torch.where(std < _MIN_STD, 1.0, 1 / std)
+        self.shift = (gain * self.mean).to(dtype)
+        gain = gain.to(dtype)
+        self.scale = gain if self.frame is None else gain.unsqueeze(-1) * self.frame
+
+    def _load_from_state_dict(self, *args: Any, **kwargs: Any) -> None:
+        super()._load_from_state_dict(*args, **kwargs)
+        self._fold()
 
     def forward(self, x: Tensor) -> Tensor:
         """Returns the layer's output for raw inputs, (..., in_features) -> (..., out_features)."""
-        std = self.var.sqrt()
-        gain = torch.where(std < _MIN_STD, 1.0, 1 / std).to(x.dtype)
-        weight = self.weight * gain.unsqueeze(-2)
-        bias = self.bias - (weight @ self.mean.to(x.dtype).unsqueeze(-1)).squeeze(-1)
-        return affine(x, weight if self.frame is None else weight @ self.frame, bias)
+        weight = self.weight * self.scale.unsqueeze(-2) if self.frame is None else self.weight @ self.scale
+        bias = self.bias - (self.weight @ self.shift.unsqueeze(-1)).squeeze(-1)
+        return affine(x, weight, bias)
 
     @torch.no_grad()
     def observe(self, x: Tensor, mask: Tensor | None = None) -> None:
@@ -158,6 +175,7 @@ class NormalizedDense(Dense):
         self.mean.add_(shift * n / total)
         self.var.copy_(torch.where(self.count + n > 0, pooled, self.var))
         self.count.add_(n)
+        self._fold()
 
 
 def pool(x: Tensor, mask: Tensor) -> Tensor:

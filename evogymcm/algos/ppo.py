@@ -192,7 +192,9 @@ class PPOLearner:
 
     def _samples(self, rollout: TensorDictBase) -> tuple[TensorDict, float]:
         """Training samples with advantages, and the explained variance of the critic."""
-        values, next_values = self._values(rollout)
+        samples = rollout.select(*self.actor.in_keys, *self.critic.in_keys, "action", "action_log_prob")
+        samples = self.actor.prepare(self._rows(samples))
+        values, next_values = self._values(rollout, samples)
         outcome = rollout.select(("next", "done"), ("next", "terminated"))
         outcome["state_value"], outcome["next", "state_value"] = values, next_values
         outcome["next", "reward"] = rollout["next", "reward"] * self.config.reward_scale
@@ -200,8 +202,6 @@ class PPOLearner:
             self.gae(outcome)  # over (worlds, steps): time must still be the last dimension
         targets = outcome["value_target"]
         explained = 1 - (targets - values).var() / targets.var().clamp_min(1e-12)
-        samples = self._rows(rollout.select(*self.actor.in_keys, *self.critic.in_keys, "action", "action_log_prob"))
-        samples = self.actor.prepare(samples)
         advantage = self._rows(outcome["advantage"])
         spread = advantage.std(-2, keepdim=True).clamp_min(1e-6)
         samples["advantage"] = (advantage - advantage.mean(-2, keepdim=True)) / spread
@@ -209,25 +209,28 @@ class PPOLearner:
         return samples, explained.item()
 
     @torch.no_grad()
-    def _values(self, rollout: TensorDictBase) -> tuple[Tensor, Tensor]:
-        """Values of all states and of the states that followed, before any reset: two of (worlds, steps, 1)."""
-        values = self._value(rollout.select(*self.critic.in_keys))
+    def _values(self, rollout: TensorDictBase, samples: TensorDictBase) -> tuple[Tensor, Tensor]:
+        """Values of all states (those of `samples`) and of the states that followed, before any reset.
+
+        Two of (worlds, steps, 1).
+        """
+        values = self._value(samples, rollout.batch_size)
         following = torch.cat([values[:, 1:], values[:, -1:]], 1)
         is_cut = rollout["next", "done"].squeeze(-1).clone()  # the next row is no continuation: ask the critic
         is_cut[:, -1] = True
         steps = is_cut.any(0)
-        cut = self._value(rollout["next"].select(*self.critic.in_keys)[:, steps])
+        ends = rollout["next"].select(*self.critic.in_keys)[:, steps]
+        cut = self._value(self._rows(ends), ends.batch_size)
         following[:, steps] = torch.where(is_cut[:, steps].unsqueeze(-1), cut, following[:, steps])
         return values, following
 
-    def _value(self, observations: TensorDictBase) -> Tensor:
-        """Critic's values of (worlds, steps), in pieces that stay in the processor's cache."""
-        rows = self._rows(observations)
+    def _value(self, rows: TensorDictBase, shape: torch.Size) -> Tensor:
+        """Critic's values of rows of samples as (worlds, steps, 1), in pieces that stay in the processor's cache."""
         pieces = [self.critic(piece)["state_value"] for piece in rows.split(1024 // (self.copies or 1) + 1, -1)]
         values = torch.cat(pieces, -2)
         if self.copies is not None:
-            values = by_world(values.unflatten(1, (-1, observations.batch_size[1])))
-        return values.reshape(*observations.batch_size, 1)
+            values = by_world(values.unflatten(1, (-1, shape[1])))
+        return values.reshape(*shape, 1)
 
     def _step(self, batch: TensorDictBase) -> Tensor:
         """One gradient step; returns the numbers that `update` logs, in `_LOGGED`'s order."""
