@@ -209,10 +209,13 @@ def plot(runs: Sequence[Mapping[str, Any]], path: Path) -> None:
     mpl.use("Agg")
     import matplotlib.pyplot as plt
 
+    runs = [run for run in runs if run["curve"]]
     tasks = [task for task in PAPER if any(run["task"] == task for run in runs)]
+    if not tasks:
+        return  # stopped before any run had a score
     figure, axes = plt.subplots(1, len(tasks), figsize=(5 * len(tasks), 3.6), squeeze=False, layout="constrained")
     for axis, task in zip(axes.flat, tasks, strict=True):
-        of_task = [run for run in runs if run["task"] == task and run["curve"]]
+        of_task = [run for run in runs if run["task"] == task]
         end = min(run["curve"][-1][0] for run in of_task)
         grid = np.linspace(0, end, 200)
         for arm in dict.fromkeys(run["arm"] for run in of_task):
@@ -242,7 +245,9 @@ def draw_designs(runs: Sequence[Mapping[str, Any]], path: Path) -> None:
     from evogymcm.envs import _palette as palette
 
     shown = sorted((run for run in runs if run["best"]), key=lambda run: (run["task"], run["arm"], run["seed"]))
-    columns = max(1, len({run["seed"] for run in shown}))
+    if not shown:
+        return
+    columns = len({run["seed"] for run in shown})
     n_rows = -(-len(shown) // columns)
     figure, axes = plt.subplots(n_rows, columns, figsize=(2.1 * columns, 2.4 * n_rows), squeeze=False)
     for axis, run in zip(axes.flat, shown, strict=False):

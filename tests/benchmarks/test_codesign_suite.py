@@ -64,6 +64,17 @@ def test_figures(suite, tmp_path):
     assert min((tmp_path / name).stat().st_size for name in ("curves.png", "designs.png")) > 5000
 
 
+def test_runs_stopped_before_their_first_score_are_left_out(suite, tmp_path):
+    pytest.importorskip("matplotlib")
+    early = record("fixed", 0, [[100, 1.0]]) | {"best": None, "curve": []}
+    suite.plot([early], tmp_path / "curves.png")
+    suite.draw_designs([early], tmp_path / "designs.png")
+    assert not list(tmp_path.iterdir())
+    assert suite.summarise([early]) == []
+    suite.plot([early, record("fixed", 1, [[100, 1.0], [200, 2.0]])], tmp_path / "curves.png")
+    assert (tmp_path / "curves.png").exists()
+
+
 @pytest.mark.slow
 def test_a_tiny_experiment_from_end_to_end(tmp_path):
     command = [sys.executable, str(BENCHMARKS / "run_suite.py"), "--preset", "invariant-quick", "--total-steps", "5000"]
