@@ -249,7 +249,9 @@ def draw_designs(runs: Sequence[Mapping[str, Any]], path: Path) -> None:
         return
     columns = len({run["seed"] for run in shown})
     n_rows = -(-len(shown) // columns)
-    figure, axes = plt.subplots(n_rows, columns, figsize=(2.1 * columns, 2.4 * n_rows), squeeze=False)
+    figure, axes = plt.subplots(
+        n_rows, columns, figsize=(2.1 * columns, 2.4 * n_rows), squeeze=False, layout="constrained"
+    )
     for axis, run in zip(axes.flat, shown, strict=False):
         grid = Body(run["best"]["body"], run["best"]["connections"]).grid
         stiffness = run["best"]["stiffness"]
@@ -257,7 +259,9 @@ def draw_designs(runs: Sequence[Mapping[str, Any]], path: Path) -> None:
             colour = np.array(palette.type_color(int(grid[row, column]))) / 255
             axis.add_patch(Rectangle((column, -row), 1, 1, facecolor=colour, edgecolor="white", lw=0.6))
             if stiffness is not None:
-                axis.text(column + 0.5, 0.5 - row, f"{stiffness[row][column]:.1f}", ha="center", va="center", size=6)
+                ink = "white" if colour.mean() < 0.5 else "black"
+                label = f"{stiffness[row][column]:.1f}"
+                axis.text(column + 0.5, 0.5 - row, label, color=ink, ha="center", va="center", size=7)
         axis.set(xlim=(-0.1, grid.shape[1] + 0.1), ylim=(0.9 - grid.shape[0], 1.1), aspect="equal")
         axis.set_title(f"{run['task']}\n{run['arm']}, seed {run['seed']}: {run['best']['fitness']:.2f}", size=6)
         axis.set_axis_off()
