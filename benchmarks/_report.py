@@ -6,10 +6,10 @@ from pathlib import Path
 from statistics import mean, stdev
 from typing import Any
 
+import _text
 import numpy as np
 from _comparison import Interval, coverage, difference, improvement, interquartile_mean, normalise
 from _suite import ARMS, PAPER
-from _text import aligned
 
 CONTROL, TREATED = ARMS
 KINDS = {"final": "final score", "best": "best in training"}  # scores of a run that are compared
@@ -93,17 +93,21 @@ def overall(rows: Sequence[Row]) -> Row:
 
 def table(rows: Sequence[Row]) -> str:
     """Returns the summary as text: the paper's scores beside ours, then the gain of co-optimisation."""
-    parts = [aligned(_score_lines(rows))]
+    parts = [_text.aligned(_score_lines(rows))]
     if any("gain" in row for row in rows):
-        parts += [aligned(_gain_lines(rows)), aligned(_overall_lines(rows)), textwrap.fill(_note(rows), 120)]
+        parts += [
+            _text.aligned(_gain_lines(rows)),
+            _text.aligned(_overall_lines(rows)),
+            textwrap.fill(_note(rows), 120),
+        ]
     return "\n\n".join(parts)
 
 
 def markdown(rows: Sequence[Row]) -> str:
     """Returns the same tables as Markdown."""
-    parts = [_as_markdown(_score_lines(rows))]
+    parts = [_text.markdown(_score_lines(rows))]
     if any("gain" in row for row in rows):
-        parts += [_as_markdown(_gain_lines(rows)), _as_markdown(_overall_lines(rows)), _note(rows)]
+        parts += [_text.markdown(_gain_lines(rows)), _text.markdown(_overall_lines(rows)), _note(rows)]
     return "\n\n".join(parts) + "\n"
 
 
@@ -176,11 +180,6 @@ def _note(rows: Sequence[Row]) -> str:
     if 1 in counts:
         note += " One seed says nothing about the spread: an arm with a single one has no interval."
     return note
-
-
-def _as_markdown(lines: Sequence[Line]) -> str:
-    ruled = [lines[0], ("---",) * len(lines[0]), *lines[1:]]
-    return "\n".join(f"| {' | '.join(line)} |" for line in ruled)
 
 
 def _with_std(value: float, std: float | None) -> str:

@@ -23,6 +23,7 @@ import numpy as np
 import tyro
 from _machine import commit, machine, usable_cores, versions
 from _sharing import ARMS, ORDER, Experiment, Scores
+from _text import markdown
 from run_suite import run_all
 
 from evogymcm.algos import RunFolder
@@ -98,13 +99,6 @@ def summarise(arms: Sequence[Mapping[str, Any]]) -> dict[str, list[dict[str, Any
     return {"scores": rows, "differences": differences}
 
 
-def _markdown(lines: Sequence[Sequence[str]]) -> str:
-    """Returns a table, its head first, with columns of even width."""
-    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
-    padded = ["| " + " | ".join(c.ljust(w) for c, w in zip(line, widths, strict=True)) + " |" for line in lines]
-    return "\n".join([padded[0], "|" + "|".join("-" * (w + 2) for w in widths) + "|", *padded[1:]])
-
-
 def table(summary: Mapping[str, Sequence[Mapping[str, Any]]]) -> str:
     """Returns the summary as Markdown."""
 
@@ -121,7 +115,7 @@ def table(summary: Mapping[str, Sequence[Mapping[str, Any]]]) -> str:
     for row in summary["differences"]:
         better = "" if row["of"] is None else f"{row['better_on']} of {row['of']}"
         gains.append((row["what"], f"{row['mean']:+.2f}", span(row), better))
-    return "\n\n".join(_markdown(part) for part in (lines, gains) if len(part) > 1)
+    return "\n\n".join(markdown(part) for part in (lines, gains) if len(part) > 1)
 
 
 def plot(arms: Sequence[Mapping[str, Any]], path: Path) -> None:
