@@ -95,6 +95,7 @@ class CodesignJob:
             "env_steps": result.env_steps,
             "bodies": len({row["index"] for row in result.rows}),
             "best": None if result.best is None else result.best.record(),
+            "best_return": max((row["return"] for row in result.rows if row["return"] is not None), default=None),
             "curve": curve(result.rows),
         }
         run.write_json("result.json", record)
@@ -135,6 +136,16 @@ _PAPER = replace(
     ppo=_body_budget(1_000_000, num_worlds=64, minibatch=512),
 )
 _QUICK = replace(_SMALL, max_env_steps=150_000, ppo=_body_budget(10_000))
+_HUNDRED = replace(  # 60,000 env-steps a body on average: what halving saves goes to the best of each generation
+    _SMALL,
+    population=20,
+    budget=100,
+    max_env_steps=None,
+    inherit=True,
+    rungs=(0.08, 0.25),
+    keep=(0.4, 0.3),
+    ppo=_body_budget(250_000, num_worlds=32),
+)
 
 PRESETS: Mapping[str, CodesignSuite] = {
     "reactive-quick": _suite("B", ("AreaMaximizer-v0",), (0,), _QUICK),
@@ -143,6 +154,7 @@ PRESETS: Mapping[str, CodesignSuite] = {
         "B", ("AreaMaximizer-v0", "DownStepper-v0"), (0, 1, 2), replace(_SMALL, **_SHORTCUTS), ("reactive",)
     ),
     "reactive-medium": _suite("B", ("AreaMaximizer-v0", "DownStepper-v0"), (0, 1, 2), _MEDIUM),
+    "hundred-bodies": _suite("B", tuple(PAPER), (0,), _HUNDRED, ("fixed",)),
     "reactive-paper": _suite("B", tuple(PAPER), (0, 1, 2), _PAPER),
     "invariant-quick": _suite("C", ("BridgeWalker-v0",), (0,), _QUICK),
     "invariant-small": _suite("C", ("BridgeWalker-v0", "Walker-v0"), (0, 1, 2), _SMALL),
