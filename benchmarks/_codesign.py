@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from _comparison import mean_interval
 from _suite import PAPER
 from _text import aligned
 
@@ -13,6 +14,15 @@ from evogymcm.algos import PPOConfig, RunFolder
 from evogymcm.algos.codesign import CodesignConfig, codesign
 
 EXPERIMENTS: Mapping[str, tuple[str, str]] = {"B": ("fixed", "reactive"), "C": ("prescribed", "invariant")}
+PUBLISHED_BODIES = 100  # trained in all by published runs of EvoGym's genetic algorithm, whose best returns these are
+PUBLISHED: Mapping[str, float] = {
+    "Walker-v0": 10.55,
+    "BridgeWalker-v0": 3.87,
+    "DownStepper-v0": 4.90,
+    "CaveCrawler-v0": 4.41,
+    "AreaMaximizer-v0": 2.52,
+    "AreaMinimizer-v0": 0.81,
+}
 COLOURS: Mapping[str, str] = {
     "fixed": "#0072b2",
     "prescribed": "#0072b2",
@@ -50,8 +60,10 @@ class CodesignSuite:
 
     @property
     def steps_per_run(self) -> int:
-        """Env-steps after which a run ends."""
-        return self.base.max_env_steps or self.base.budget * self.base.ppo.total_steps
+        """Env-steps after which a run ends; without a limit of its own, those of all bodies' training."""
+        base = self.base
+        share = base.halving().cost(base.population) / base.population
+        return base.max_env_steps or round(base.budget * base.ppo.total_steps * share)
 
     def jobs(self) -> list["CodesignJob"]:
         """Returns all runs, seed by seed, so that an early stop leaves whole comparisons."""
@@ -179,6 +191,7 @@ def summarise(runs: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
         for arm in dict.fromkeys(run["arm"] for run in of_task):
             group = [run for run in of_task if run["arm"] == arm]
             scores = [float(best_at(run["curve"], [end])[0]) for run in group]
+            returns = [run["best_return"] for run in group if run.get("best_return") is not None]
             rows.append(
                 {
                     "task": task,
@@ -189,33 +202,32 @@ def summarise(runs: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
                     "scores": scores,
                     "mean": float(np.mean(scores)),
                     "std": float(np.std(scores, ddof=1)) if len(scores) > 1 else None,
+                    "returns": returns,
                 }
             )
     return rows
 
 
 def table(rows: Sequence[Mapping[str, Any]]) -> str:
-    """Returns the summary as text."""
-    lines = [("task", "arm", "seeds", "env-steps", "bodies trained", "best score", "of each seed")]
-    for row in rows:
+    """Returns the summary as text; beside published returns where as many bodies were trained."""
+    head = ["task", "arm", "seeds", "env-steps", "bodies trained", "best score", "of each seed"]
+    compared = [row["bodies"] == PUBLISHED_BODIES and bool(row.get("returns")) for row in rows]
+    if any(compared):
+        head += ["best return", "published"]
+    lines = [head]
+    for row, is_compared in zip(rows, compared, strict=True):
         spread = "" if row["std"] is None else f" ({row['std']:.2f})"
         each = " ".join(f"{score:.2f}" for score in row["scores"])
-        lines.append(
-            (
-                row["task"],
-                row["arm"],
-                str(row["seeds"]),
-                f"{row['env_steps']:,.0f}",
-                f"{row['bodies']:.0f}",
-                f"{row['mean']:.2f}{spread}",
-                each,
-            )
-        )
+        cells = [row["task"], row["arm"], str(row["seeds"]), f"{row['env_steps']:,.0f}", f"{row['bodies']:.0f}"]
+        cells += [f"{row['mean']:.2f}{spread}", each]
+        if is_compared:
+            cells += [f"{np.mean(row['returns']):.2f}", f"{PUBLISHED[row['task']]:.2f}"]
+        lines.append(cells + [""] * (len(head) - len(cells)))
     return aligned(lines)
 
 
 def plot(runs: Sequence[Mapping[str, Any]], path: Path) -> None:
-    """Draws the best score against env-steps of all kinds: mean and range over seeds, single seeds as thin lines."""
+    """Draws the best score against env-steps of all kinds: mean and its interval over seeds, and single seeds."""
     import matplotlib as mpl
 
     mpl.use("Agg")
@@ -235,12 +247,12 @@ def plot(runs: Sequence[Mapping[str, Any]], path: Path) -> None:
             known = np.isfinite(lines).all(0)
             axis.plot(grid, lines.T, color=COLOURS[arm], lw=0.6, alpha=0.5)
             axis.plot(grid[known], lines[:, known].mean(0), color=COLOURS[arm], lw=2, label=arm)
-            axis.fill_between(
-                grid[known], lines[:, known].min(0), lines[:, known].max(0), color=COLOURS[arm], alpha=0.12
-            )
+            if len(lines) > 1:
+                axis.fill_between(grid[known], *mean_interval(lines[:, known]), color=COLOURS[arm], alpha=0.12)
         axis.set(title=task, xlabel="simulated env-steps, of all kinds", ylabel="best score so far")
         axis.ticklabel_format(axis="x", style="sci", scilimits=(0, 0))
-        axis.legend(fontsize="small", title=f"mean and range of {lines.shape[0]} seeds")
+        seeds = f"mean of {len(lines)} seeds, 95 % interval" if len(lines) > 1 else "one seed"
+        axis.legend(fontsize="small", title=seeds, title_fontsize="small")
     figure.savefig(path, dpi=150)
     plt.close(figure)
 

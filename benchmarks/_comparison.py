@@ -16,6 +16,7 @@ Interval = tuple[float, float]
 Array = NDArray[np.float64]
 
 LEVEL = 0.95
+_T = (12.706, 4.303, 3.182, 2.776, 2.571, 2.447, 2.365, 2.306, 2.262)  # 97.5 % quantiles for 1 to 9 degrees of freedom
 _RESAMPLES = 5_000
 _TRIALS = 2_000  # simulated comparisons of `coverage`
 
@@ -28,6 +29,17 @@ def difference(control: Sequence[float], treated: Sequence[float]) -> tuple[floa
     if min(len(a), len(b)) < 2:
         return gain, None
     return gain, _interval(_resample(b, rng).mean(1) - _resample(a, rng).mean(1))
+
+
+def mean_interval(values: Array) -> tuple[Array, Array]:
+    """Returns the ends of Student's 95 % interval of the mean over the first axis, whose length is 2 at least.
+
+    It holds the true mean of few seeds as often as it says if their scores are normal; beyond 10 seeds it is a little
+    too wide.
+    """
+    n = len(values)
+    half = _T[min(n - 2, len(_T) - 1)] * values.std(0, ddof=1) / np.sqrt(n)
+    return values.mean(0) - half, values.mean(0) + half
 
 
 def trimmed_mean(values: Array) -> Array:

@@ -28,11 +28,27 @@ def test_presets_give_both_arms_the_same_budget(suite):
     for name, preset in suite.PRESETS.items():
         jobs = preset.jobs()
         assert len({job.name for job in jobs}) == len(jobs)
-        arms = {"reactive"} if name == "reactive-shortcuts" else set(suite.EXPERIMENTS[preset.experiment])
+        alone = {"reactive-shortcuts": {"reactive"}, "hundred-bodies": {"fixed"}}
+        arms = alone.get(name, set(suite.EXPERIMENTS[preset.experiment]))
         assert {job.config.arm for job in jobs} == arms
         assert len({replace(job.config, arm="fixed", task="", seed=0) for job in jobs}) == 1, name
     assert suite.PRESETS["reactive-paper"].base.budget == 100
     assert len(suite.PRESETS["invariant-paper"].jobs()) == 36
+
+
+def test_the_cost_of_a_preset_counts_what_halving_saves(suite):
+    hundred = suite.PRESETS["hundred-bodies"]
+    assert hundred.base.budget == suite.PUBLISHED_BODIES
+    # Of 20 bodies all train for 8 % of 250,000 env-steps, 8 for 17 % more, and 3 to the end.
+    assert hundred.steps_per_run == round(100 / 20 * 250_000 * (20 * 0.08 + 8 * 0.17 + 3 * 0.75))
+    assert suite.PRESETS["reactive-small"].steps_per_run == 600_000
+
+
+def test_returns_stand_beside_published_ones_where_as_many_bodies_were_trained(suite):
+    few = record("fixed", 0, [[100, 1.0], [200, 3.0]]) | {"best_return": 4.25}
+    assert "published" not in suite.table(suite.summarise([few]))
+    shown = suite.table(suite.summarise([few | {"bodies": 100}]))
+    assert shown.splitlines()[1].split()[-3:] == ["3.00", "4.25", "10.55"]
 
 
 def test_wrong_arms_and_tasks_are_refused(suite):

@@ -79,3 +79,9 @@ def test_coverage_grows_with_seeds(comparison):
     few, some, many = (comparison.coverage(n) for n in (3, 10, 40))
     assert 0.7 < few < 0.88 < some < 0.95
     assert many == pytest.approx(0.94, abs=0.02)
+
+
+@pytest.mark.parametrize("seeds", [2, 3, 5, 10])
+def test_the_interval_of_a_mean_holds_it_as_often_as_it_says(comparison, seeds):
+    low, high = comparison.mean_interval(np.random.default_rng(seeds).normal(size=(seeds, 20_000)))
+    assert ((low <= 0) & (high >= 0)).mean() == pytest.approx(0.95, abs=0.005)
