@@ -135,7 +135,16 @@ def _suite(
 _SMALL = CodesignConfig(
     population=6, budget=1000, max_env_steps=600_000, finetune_steps=4_096, ppo=_body_budget(25_000)
 )
-_SHORTCUTS = {"inherit": True, "rungs": (0.4,), "keep": (0.5,)}  # policy inheritance and successive halving
+_SHORTCUTS = replace(  # policy inheritance and successive halving: lineages learn on, the worse half is dropped early
+    _SMALL,
+    population=8,
+    budget=32,
+    max_env_steps=900_000,
+    inherit=True,
+    rungs=(0.3,),
+    keep=(0.5,),
+    ppo=_body_budget(50_000),
+)
 _MEDIUM = replace(
     _SMALL, population=12, max_env_steps=10_000_000, finetune_steps=10_000, ppo=_body_budget(200_000, num_worlds=32)
 )
@@ -162,14 +171,13 @@ _HUNDRED = replace(  # 60,000 env-steps a body on average: what halving saves go
 PRESETS: Mapping[str, CodesignSuite] = {
     "reactive-quick": _suite("B", ("AreaMaximizer-v0",), (0,), _QUICK),
     "reactive-small": _suite("B", ("AreaMaximizer-v0", "DownStepper-v0"), (0, 1, 2), _SMALL),
-    "reactive-shortcuts": _suite(
-        "B", ("AreaMaximizer-v0", "DownStepper-v0"), (0, 1, 2), replace(_SMALL, **_SHORTCUTS), ("reactive",)
-    ),
+    "reactive-shortcuts": _suite("B", ("AreaMaximizer-v0", "DownStepper-v0"), (0, 1, 2), _SHORTCUTS),
     "reactive-medium": _suite("B", ("AreaMaximizer-v0", "DownStepper-v0"), (0, 1, 2), _MEDIUM),
     "hundred-bodies": _suite("B", tuple(PAPER), (0,), _HUNDRED, ("fixed",)),
     "reactive-paper": _suite("B", tuple(PAPER), (0, 1, 2), _PAPER),
     "invariant-quick": _suite("C", ("BridgeWalker-v0",), (0,), _QUICK),
     "invariant-small": _suite("C", ("BridgeWalker-v0", "Walker-v0"), (0, 1, 2), _SMALL),
+    "invariant-shortcuts": _suite("C", ("BridgeWalker-v0", "Walker-v0"), (0, 1, 2), _SHORTCUTS),
     "invariant-medium": _suite("C", ("BridgeWalker-v0", "Walker-v0"), (0, 1, 2), _MEDIUM),
     "invariant-paper": _suite("C", tuple(PAPER), (0, 1, 2), _PAPER),
 }
