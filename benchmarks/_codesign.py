@@ -157,15 +157,16 @@ _PAPER = replace(
     ppo=_body_budget(1_000_000, num_worlds=64, minibatch=512),
 )
 _QUICK = replace(_SMALL, max_env_steps=150_000, ppo=_body_budget(10_000))
-_HUNDRED = replace(  # 60,000 env-steps a body on average: what halving saves goes to the best of each generation
+_HUNDRED = replace(  # about 50,000 env-steps a body: what halving saves goes to the best of each generation
     _SMALL,
     population=20,
     budget=100,
     max_env_steps=None,
     inherit=True,
-    rungs=(0.08, 0.25),
+    rungs=(0.125, 0.3),
     keep=(0.4, 0.3),
-    ppo=_body_budget(250_000, num_worlds=32),
+    finetune_steps=20_000,
+    ppo=_body_budget(160_000, num_worlds=32),
 )
 
 PRESETS: Mapping[str, CodesignSuite] = {
@@ -173,7 +174,7 @@ PRESETS: Mapping[str, CodesignSuite] = {
     "reactive-small": _suite("B", ("AreaMaximizer-v0", "DownStepper-v0"), (0, 1, 2), _SMALL),
     "reactive-shortcuts": _suite("B", ("AreaMaximizer-v0", "DownStepper-v0"), (0, 1, 2), _SHORTCUTS),
     "reactive-medium": _suite("B", ("AreaMaximizer-v0", "DownStepper-v0"), (0, 1, 2), _MEDIUM),
-    "hundred-bodies": _suite("B", tuple(PAPER), (0,), _HUNDRED, ("fixed",)),
+    "hundred-bodies": _suite("C", tuple(PAPER), (0,), _HUNDRED, ("invariant",)),
     "reactive-paper": _suite("B", tuple(PAPER), (0, 1, 2), _PAPER),
     "invariant-quick": _suite("C", ("BridgeWalker-v0",), (0,), _QUICK),
     "invariant-small": _suite("C", ("BridgeWalker-v0", "Walker-v0"), (0, 1, 2), _SMALL),

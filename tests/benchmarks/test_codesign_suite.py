@@ -28,7 +28,7 @@ def test_presets_give_both_arms_the_same_budget(suite):
     for name, preset in suite.PRESETS.items():
         jobs = preset.jobs()
         assert len({job.name for job in jobs}) == len(jobs)
-        arms = {"fixed"} if name == "hundred-bodies" else set(suite.EXPERIMENTS[preset.experiment])
+        arms = {"invariant"} if name == "hundred-bodies" else set(suite.EXPERIMENTS[preset.experiment])
         assert {job.config.arm for job in jobs} == arms
         assert len({replace(job.config, arm="fixed", task="", seed=0) for job in jobs}) == 1, name
     assert suite.PRESETS["reactive-paper"].base.budget == 100
@@ -38,8 +38,8 @@ def test_presets_give_both_arms_the_same_budget(suite):
 def test_the_cost_of_a_preset_counts_what_halving_saves(suite):
     hundred = suite.PRESETS["hundred-bodies"]
     assert hundred.base.budget == suite.PUBLISHED_BODIES
-    # Of 20 bodies all train for 8 % of 250,000 env-steps, 8 for 17 % more, and 3 to the end.
-    assert hundred.steps_per_run == round(100 / 20 * 250_000 * (20 * 0.08 + 8 * 0.17 + 3 * 0.75))
+    # Of 20 bodies all train for 20,000 env-steps, 8 for 28,000 more, and 3 for another 112,000.
+    assert hundred.steps_per_run == 100 // 20 * (20 * 20_000 + 8 * 28_000 + 3 * 112_000)
     assert suite.PRESETS["reactive-small"].steps_per_run == 600_000
 
 
