@@ -12,6 +12,7 @@ from _text import aligned
 
 from evogymcm.algos import PPOConfig, RunFolder
 from evogymcm.algos.codesign import CodesignConfig, codesign
+from evogymcm.algos.codesign_cost import cost_of
 
 EXPERIMENTS: Mapping[str, tuple[str, str]] = {"B": ("fixed", "reactive"), "C": ("prescribed", "invariant")}
 PUBLISHED_BODIES = 100  # trained in all by published runs of EvoGym's genetic algorithm, whose best returns these are
@@ -60,10 +61,9 @@ class CodesignSuite:
 
     @property
     def steps_per_run(self) -> int:
-        """Env-steps after which a run ends; without a limit of its own, those of all bodies' training."""
-        base = self.base
-        share = base.halving().cost(base.population) / base.population
-        return base.max_env_steps or round(base.budget * base.ppo.total_steps * share)
+        """The most env-steps of all kinds that a run takes, but for what it goes beyond a limit."""
+        limit = self.base.max_env_steps or np.inf
+        return int(min(limit, max(cost_of(replace(self.base, task=task)).total for task in self.tasks)))
 
     def jobs(self) -> list["CodesignJob"]:
         """Returns all runs, seed by seed, so that an early stop leaves whole comparisons."""
@@ -107,7 +107,7 @@ class CodesignJob:
             "env_steps": result.env_steps,
             "bodies": len({row["index"] for row in result.rows}),
             "best": None if result.best is None else result.best.record(),
-            "best_return": max((row["return"] for row in result.rows if row["return"] is not None), default=None),
+            "best_return": max((row["return"] for row in result.rows), default=None),
             "curve": curve(result.rows),
         }
         run.write_json("result.json", record)
@@ -174,13 +174,13 @@ PRESETS: Mapping[str, CodesignSuite] = {
     "reactive-small": _suite("B", ("AreaMaximizer-v0", "DownStepper-v0"), (0, 1, 2), _SMALL),
     "reactive-shortcuts": _suite("B", ("AreaMaximizer-v0", "DownStepper-v0"), (0, 1, 2), _SHORTCUTS),
     "reactive-medium": _suite("B", ("AreaMaximizer-v0", "DownStepper-v0"), (0, 1, 2), _MEDIUM),
-    "hundred-bodies": _suite("C", tuple(PAPER), (0,), _HUNDRED, ("invariant",)),
     "reactive-paper": _suite("B", tuple(PAPER), (0, 1, 2), _PAPER),
     "invariant-quick": _suite("C", ("BridgeWalker-v0",), (0,), _QUICK),
     "invariant-small": _suite("C", ("BridgeWalker-v0", "Walker-v0"), (0, 1, 2), _SMALL),
     "invariant-shortcuts": _suite("C", ("BridgeWalker-v0", "Walker-v0"), (0, 1, 2), _SHORTCUTS),
     "invariant-medium": _suite("C", ("BridgeWalker-v0", "Walker-v0"), (0, 1, 2), _MEDIUM),
     "invariant-paper": _suite("C", tuple(PAPER), (0, 1, 2), _PAPER),
+    "hundred-bodies": _suite("C", tuple(PAPER), (0,), _HUNDRED, ("invariant",)),
 }
 
 

@@ -68,7 +68,7 @@ class Codesign:
 
     Fitness is the score of the stored policy in a world by itself (`score_alone`), so that it can be had again to the
     last bit. The table gets a row whenever an individual is trained, searched or fine-tuned: the individual's record,
-    the event, its score, the env-steps of all kinds so far, and the best fitness so far.
+    the event, its score and return, the env-steps of all kinds so far, and the best fitness so far.
 
     Args:
         config: settings.
@@ -80,6 +80,7 @@ class Codesign:
         self.arena, self.search = config.make_arena(), config.make_search()
         self.env_steps, self.phase = 0, "train"
         self.policies: dict[int, Policy] = {}  # of survivors and of the best
+        self.returns: dict[int, float] = {}  # of survivors, with the last step's reward, which fitness leaves out
         self.rows: list[dict[str, Any]] = []
         self.champion: tuple[Individual, Policy] | None = None
         self._tell: Callable[[CodesignProgress], None] = lambda progress: None
@@ -108,6 +109,7 @@ class Codesign:
         if done:
             kept = {individual.index for individual in self.search.survivors}
             self.policies = {index: policy for index, policy in self.policies.items() if index in kept}
+            self.returns = {index: value for index, value in self.returns.items() if index in kept}
             if self.run:
                 self.run.save(_STATE, self._state())
                 for checkpoint in self.run.path.glob("generation-*/*.pt"):
@@ -175,8 +177,8 @@ class Codesign:
         self.search.tell({individual.index: float(alone.score[i]) for i, individual in enumerate(new)})
         for i, individual in enumerate(new):
             self.policies[individual.index] = policies[i]
-            told = replace(individual, fitness=float(alone.score[i]))
-            self._record("train", told, float(alone.returns[i]), generation)
+            self.returns[individual.index] = float(alone.returns[i])
+            self._record("train", replace(individual, fitness=float(alone.score[i])), generation)
         self.phase = "search" if self.config.arm == "invariant" and self.search.survivors else "train"
         return True
 
@@ -190,8 +192,9 @@ class Codesign:
         while not search.is_finished:
             if self._is_stopped():
                 return False  # no more than a search is lost
-            scores, spent = self._score_proposals(search, survivors, policies)
-            search.tell(scores)
+            scores, returns, spent = self._score_proposals(search, survivors, policies)
+            for i in np.flatnonzero(search.tell(scores)):
+                self.returns[survivors[i].index] = float(returns[i])
             steps += spent
             self._report(steps)
         self.env_steps += steps
@@ -204,8 +207,13 @@ class Codesign:
 
     def _score_proposals(
         self, search: MaterialSearch, survivors: list[Individual], policies: list[Policy]
-    ) -> tuple[np.ndarray, int]:
-        """Scores all proposals of a round in one batch, and the best of each that may be accepted also by itself."""
+    ) -> tuple[np.ndarray, np.ndarray, int]:
+        """Scores all proposals of a round in one batch, and the best of each that may be accepted also by itself.
+
+        Returns:
+            Scores of all proposals, (survivors * candidates,); returns of those also scored by themselves,
+            (survivors,); the env-steps simulated.
+        """
         copies = self.config.search.candidates
         fields = search.ask().reshape(len(survivors), copies, *self.config.shape)
         designs = [
@@ -217,13 +225,15 @@ class Codesign:
         scores = together.score.reshape(copies, len(survivors)).T.copy()  # (survivors, candidates)
         picks = scores.argmax(1)
         promising = [i for i in range(len(survivors)) if scores[i, picks[i]] >= search.best.scores[i]]
-        steps = together.env_steps
+        returns, steps = np.full(len(survivors), np.nan), together.env_steps
         if promising:
             chosen = [Design(survivors[i].design.body, fields[i, picks[i]]) for i in promising]
             alone = score_alone(self.arena, chosen, [policies[i] for i in promising])
-            scores[promising, picks[promising]] = alone.score
+            below = np.nextafter(alone.score, -np.inf)  # none of the others, scored in a batch, may be taken for it
+            scores[promising] = np.minimum(scores[promising], below[:, None])
+            scores[promising, picks[promising]], returns[promising] = alone.score, alone.returns
             steps += alone.env_steps
-        return scores.ravel(), steps
+        return scores.ravel(), returns, steps
 
     def _finetune(self) -> bool:
         """Trains the survivors on, each on its present material; a policy is replaced only by a better one."""
@@ -235,9 +245,9 @@ class Codesign:
             return False
         alone = score_alone(self.arena, designs, trained.best)
         self.env_steps += trained.env_steps + alone.env_steps
-        for individual, policy, score in zip(survivors, trained.best, alone.score, strict=True):
+        for individual, policy, score, total in zip(survivors, trained.best, alone.score, alone.returns, strict=True):
             if score > (individual.fitness or 0.0):
-                self.policies[individual.index] = policy
+                self.policies[individual.index], self.returns[individual.index] = policy, float(total)
                 self.search.update(individual.index, fitness=float(score))
         self._record_survivors("finetune")
         self.phase = "train"
@@ -245,16 +255,16 @@ class Codesign:
 
     def _record_survivors(self, event: str) -> None:
         for individual in self.search.survivors:
-            self._record(event, individual, None, self.search.generation - 1)
+            self._record(event, individual, self.search.generation - 1)
 
-    def _record(self, event: str, individual: Individual, total: float | None, generation: int) -> None:
+    def _record(self, event: str, individual: Individual, generation: int) -> None:
         """Adds a row, and keeps the controller and the best individual."""
         assert individual.fitness is not None
         policy = self.policies[individual.index]
         if self.champion is None or individual.fitness > (self.champion[0].fitness or -np.inf):
             self.champion = (individual, policy)
         row = individual.record() | {"event": event, "generation_now": generation, "env_steps": self.env_steps}
-        row |= {"return": total, "best": self.champion[0].fitness}
+        row |= {"return": self.returns[individual.index], "best": self.champion[0].fitness}
         self.rows.append(row)
         if self.run:
             self.run.append(row)
@@ -271,6 +281,7 @@ class Codesign:
             "phase": self.phase,
             "rows": len(self.rows),
             "policies": self.policies,
+            "returns": self.returns,
             "champion": champion,
         }
 
@@ -280,7 +291,7 @@ class Codesign:
         self.env_steps, self.phase = state["env_steps"], state["phase"]
         self.run.keep_rows(state["rows"])
         self.rows = self.run.rows()
-        self.policies = dict(state["policies"])
+        self.policies, self.returns = dict(state["policies"]), dict(state["returns"])
         if state["champion"]:
             individual = Individual.from_record(state["champion"]["individual"])
             self.champion = (individual, state["champion"]["policy"])

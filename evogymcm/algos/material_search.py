@@ -139,8 +139,8 @@ class MaterialSearch:
             self._asked = [proposer.ask(best) for proposer, best in zip(self._proposers, self._best, strict=True)]
         return np.stack([field for fields in self._asked for field in fields])
 
-    def tell(self, scores: ArrayLike) -> None:
-        """Takes the scores (n * candidates,) of the fields asked for.
+    def tell(self, scores: ArrayLike) -> NDArray[np.bool_]:
+        """Takes the scores (n * candidates,) of the fields asked for, and returns (n,) whose best of them was accepted.
 
         Raises:
             RuntimeError: Nothing has been asked for.
@@ -149,19 +149,22 @@ class MaterialSearch:
         if not self._asked:
             raise RuntimeError("tell: nothing has been asked for")
         values = np.array(scores, dtype=np.float64)
+        accepted = np.zeros(len(self.individuals), dtype=bool)
         n = len(self.individuals) * self.candidates
         if values.shape != (n,) or not np.isfinite(values).all():
             raise ValueError(f"scores: got {values}, expected {n} finite numbers")
         for i, own in enumerate(values.reshape(-1, self.candidates)):
             self._proposers[i].tell(own)
             pick = int(own.argmax())
-            if self._accepts(own[pick], self._scores[i]):
+            accepted[i] = self._accepts(own[pick], self._scores[i])
+            if accepted[i]:
                 self._best[i] = Design(self._best[i].body, self._asked[i][pick])
                 self._scores[i] = own[pick]
         self._asked = []
         self._told.append(values.tolist())
         self._history.append(self._scores.copy())
         self.n_rounds += 1
+        return accepted
 
     def _accepts(self, score: float, best: float) -> bool:
         """Whether a score replaces the best so far."""

@@ -1,7 +1,7 @@
 """`evogymcm codesign`: evolve bodies together with their material and control, kept in a run folder."""
 
 import argparse
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -10,7 +10,6 @@ from evogymcm.commands._options import INTERRUPTED, Bar, how_to_resume, open_run
 
 if TYPE_CHECKING:
     from evogymcm.algos.codesign import CodesignConfig, CodesignProgress, CodesignResult
-    from evogymcm.algos.ppo import PPOConfig
 
 _DESCRIPTION = """Evolves bodies together with their material and control, and keeps all of it in a run folder.
 
@@ -26,21 +25,6 @@ examples:
   evogymcm codesign Walker-v0 --arm reactive --population 8 --budget 32
   evogymcm codesign BridgeWalker-v0 --arm invariant --max-env-steps 5000000 --search.rounds 10
   evogymcm codesign Walker-v0 --arm fixed --rungs 0.25 0.5 --keep 0.5 0.5 --ppo.total-steps 200000"""
-
-
-@dataclass(frozen=True)
-class Cost:
-    """The most env-steps that a run can take, by what they are for."""
-
-    training: int
-    scoring: int
-    search: int
-    finetuning: int
-
-    @property
-    def total(self) -> int:
-        """All of them."""
-        return self.training + self.scoring + self.search + self.finetuning
 
 
 def add_parser(subparsers: Any) -> None:
@@ -107,6 +91,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _codesign(given: Any, arguments: Sequence[str]) -> int:
     from evogymcm.algos.codesign import codesign
+    from evogymcm.algos.codesign_cost import cost_of
     from evogymcm.algos.memory import keep_freed_memory
 
     config = given.config
@@ -145,54 +130,6 @@ def check(config: "CodesignConfig") -> None:
     config.make_arena().make([design])
     if config.arm == "invariant":
         MaterialSearch([Individual(0, design, fitness=0.0)], seed=0, **asdict(config.search))
-
-
-def _generations(config: "CodesignConfig") -> Iterator[tuple[int, int]]:
-    """Yields the new bodies of each generation, and the most that survive it and are worked on."""
-    from evogymcm.algos.evolution import survivor_count
-
-    done = survivors = 0
-    while done < config.budget:
-        new = min(config.population - survivors, config.budget - done)
-        done += new
-        if config.method == "ga":
-            survivors = survivor_count(config.population, config.budget, done)
-        yield new, {"ga": survivors, "random": 0, "qd": new}[config.method]
-
-
-def _training(ppo: "PPOConfig", bodies: int, limit: int) -> tuple[int, int]:
-    """Returns the env-steps of training so many bodies, and those of its evaluations and of scoring the results."""
-    frames = ppo.frames_per_update
-    updates = -(-ppo.total_steps // frames)
-    between = min(updates - 1, (updates - 1) * frames // ppo.eval_interval) if ppo.eval_interval else 0
-    evaluations = between + 2  # those of the untrained and the final policy
-    return bodies * updates * frames, bodies * limit * evaluations
-
-
-def cost_of(config: "CodesignConfig") -> Cost:
-    """Returns what a run takes where no episode ends before its time limit and no max_env_steps ends the run."""
-    from dataclasses import replace
-    from itertools import pairwise
-
-    from evogymcm import tasks
-
-    limit = tasks[config.task].time_limit
-    halving = config.halving()
-    training = scoring = search = finetuning = 0
-    for new, survivors in _generations(config):
-        going = new
-        scoring += new * limit
-        for rung, (begin, end) in enumerate(pairwise((0.0, *halving.rungs, 1.0))):
-            share = replace(config.ppo, total_steps=max(1, round(config.ppo.total_steps * (end - begin))))
-            steps, evaluations = _training(share, going, limit)
-            training, scoring = training + steps, scoring + evaluations
-            if rung < len(halving.rungs):
-                going = halving.count(rung, going)
-        if config.arm == "invariant" and survivors:
-            search += config.search.rounds * (config.search.candidates + 1) * survivors * limit
-            steps, evaluations = _training(config.finetuning(), survivors, limit)
-            finetuning, scoring = finetuning + steps, scoring + evaluations + survivors * limit
-    return Cost(training, scoring, search, finetuning)
 
 
 def _show(bar: Bar, state: "CodesignProgress") -> None:

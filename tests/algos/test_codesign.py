@@ -64,18 +64,29 @@ def test_a_run_from_end_to_end(arm, tmp_path):
     assert result.policy["form"]["ranges"].keys() == {"actuation"} | ({"stiffness"} if arm == "reactive" else set())
 
 
-@pytest.mark.parametrize("arm", ["reactive", "invariant"])
-def test_fitness_can_be_had_again_to_the_last_bit(arm, tmp_path):
+@pytest.mark.parametrize(("arm", "is_blurred"), [("reactive", False), ("invariant", False), ("invariant", True)])
+def test_scores_and_returns_can_be_had_again_to_the_last_bit(arm, is_blurred, tmp_path, monkeypatch):
     config = replace(TINY, arm=arm)
+    if is_blurred:  # scores of a batch that are off by more than rounding, and several candidates to choose from
+        rng = np.random.default_rng(0)
+
+        def blurred(*args):
+            exact = score_together(*args)
+            return replace(exact, score=exact.score + rng.normal(scale=0.01, size=exact.score.shape))
+
+        monkeypatch.setattr("evogymcm.algos.codesign.score_together", blurred)
+        search = SearchConfig(rounds=4, candidates=4, probability=1.0, acceptance="paper")
+        config = replace(config, search=search)
     run = RunFolder(tmp_path / "run", asdict(config))
     codesign(config, run=run)
     last = {row["index"]: row for row in run.rows()}
     designs = [Design.from_record(row) for row in last.values()]
     policies = [run.load(f"policy-{index:04}") for index in last]
-    scores = score_alone(config.make_arena(), designs, policies).score
-    assert scores.tolist() == [row["fitness"] for row in last.values()]
+    again = score_alone(config.make_arena(), designs, policies)
+    assert again.score.tolist() == [row["fitness"] for row in last.values()]
+    assert again.returns.tolist() == [row["return"] for row in last.values()]
     alone = score_alone(config.make_arena(), designs[-1:], policies[-1:]).score
-    assert alone[0] == scores[-1]
+    assert alone[0] == again.score[-1]
 
 
 def test_fitness_of_survivors_never_falls():

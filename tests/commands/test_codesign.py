@@ -12,9 +12,9 @@ import pytest
 from evogymcm.__main__ import main
 from evogymcm.algos import PPOConfig
 from evogymcm.algos.codesign import CodesignConfig, SearchConfig, codesign
+from evogymcm.algos.codesign_cost import cost_of
 from evogymcm.algos.parallel import codesign_in
 from evogymcm.commands import _options
-from evogymcm.commands.codesign import cost_of
 from tests.commands.tools import refused
 
 PPO = ["--ppo.total-steps", "64", "--ppo.num-worlds", "4", "--ppo.rollout-steps", "8", "--ppo.hidden", "8"]

@@ -1,0 +1,75 @@
+"""What a co-design run costs in simulated env-steps, known before it starts."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+from evogymcm.algos.codesign_config import CodesignConfig
+from evogymcm.algos.evolution import survivor_count
+from evogymcm.algos.ppo import PPOConfig
+from evogymcm.envs.tasks import tasks
+
+__all__ = ["Cost", "cost_of"]
+
+
+@dataclass(frozen=True)
+class Cost:
+    """The most env-steps that a run can take, by what they are for.
+
+    Attributes:
+        training: of new bodies.
+        scoring: evaluations of all kinds.
+        search: of stiffness fields.
+        finetuning: of survivors.
+    """
+
+    training: int
+    scoring: int
+    search: int
+    finetuning: int
+
+    @property
+    def total(self) -> int:
+        """All of them."""
+        return self.training + self.scoring + self.search + self.finetuning
+
+
+def _generations(config: CodesignConfig) -> Iterator[tuple[int, int]]:
+    """Yields the new bodies of each generation, and the most that survive it and are worked on."""
+    done = survivors = 0
+    while done < config.budget:
+        new = min(config.population - survivors, config.budget - done)
+        done += new
+        if config.method == "ga":
+            survivors = survivor_count(config.population, config.budget, done)
+        yield new, {"ga": survivors, "random": 0, "qd": new}[config.method]
+
+
+def _training(ppo: PPOConfig, bodies: int, limit: int) -> tuple[int, int]:
+    """Returns the env-steps of training so many bodies, and those of its evaluations and of scoring the results."""
+    frames = ppo.frames_per_update
+    updates = -(-ppo.total_steps // frames)
+    between = min(updates - 1, (updates - 1) * frames // ppo.eval_interval) if ppo.eval_interval else 0
+    evaluations = between + 2  # those of the untrained and the final policy
+    return bodies * updates * frames, bodies * limit * evaluations
+
+
+def cost_of(config: CodesignConfig) -> Cost:
+    """Returns what a run takes where no episode ends before its time limit and no max_env_steps ends the run."""
+    limit = tasks[config.task].time_limit
+    halving = config.halving()
+    training = scoring = search = finetuning = 0
+    for new, survivors in _generations(config):
+        going = new
+        scoring += new * limit
+        for rung, (begin, end) in enumerate(pairwise((0.0, *halving.rungs, 1.0))):
+            share = replace(config.ppo, total_steps=max(1, round(config.ppo.total_steps * (end - begin))))
+            steps, evaluations = _training(share, going, limit)
+            training, scoring = training + steps, scoring + evaluations
+            if rung < len(halving.rungs):
+                going = halving.count(rung, going)
+        if config.arm == "invariant" and survivors:
+            search += config.search.rounds * (config.search.candidates + 1) * survivors * limit
+            steps, evaluations = _training(config.finetuning(), survivors, limit)
+            finetuning, scoring = finetuning + steps, scoring + evaluations + survivors * limit
+    return Cost(training, scoring, search, finetuning)
