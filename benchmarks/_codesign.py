@@ -163,10 +163,10 @@ _HUNDRED = replace(  # about 50,000 env-steps a body: what halving saves goes to
     budget=100,
     max_env_steps=None,
     inherit=True,
-    rungs=(0.125, 0.3),
-    keep=(0.4, 0.3),
-    finetune_steps=20_000,
-    ppo=_body_budget(160_000, num_worlds=32),
+    inherit_std=1.0,
+    rungs=(0.0625, 0.25),
+    keep=(0.4, 0.25),
+    ppo=_body_budget(320_000, num_worlds=32, eval_interval=20_000),
 )
 
 PRESETS: Mapping[str, CodesignSuite] = {
@@ -175,12 +175,12 @@ PRESETS: Mapping[str, CodesignSuite] = {
     "reactive-shortcuts": _suite("B", ("AreaMaximizer-v0", "DownStepper-v0"), (0, 1, 2), _SHORTCUTS),
     "reactive-medium": _suite("B", ("AreaMaximizer-v0", "DownStepper-v0"), (0, 1, 2), _MEDIUM),
     "reactive-paper": _suite("B", tuple(PAPER), (0, 1, 2), _PAPER),
+    "hundred-bodies": _suite("B", tuple(PAPER), (0,), _HUNDRED, ("reactive",)),
     "invariant-quick": _suite("C", ("BridgeWalker-v0",), (0,), _QUICK),
     "invariant-small": _suite("C", ("BridgeWalker-v0", "Walker-v0"), (0, 1, 2), _SMALL),
     "invariant-shortcuts": _suite("C", ("BridgeWalker-v0", "Walker-v0"), (0, 1, 2), _SHORTCUTS),
     "invariant-medium": _suite("C", ("BridgeWalker-v0", "Walker-v0"), (0, 1, 2), _MEDIUM),
     "invariant-paper": _suite("C", tuple(PAPER), (0, 1, 2), _PAPER),
-    "hundred-bodies": _suite("C", tuple(PAPER), (0,), _HUNDRED, ("invariant",)),
 }
 
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from evogymcm.algos.codesign_config import ARMS, CodesignConfig, SearchConfig
 from evogymcm.algos.design_search import Design, Individual
-from evogymcm.algos.generation import Policy, Trained, score_alone, score_together, train_designs
+from evogymcm.algos.generation import Policy, Trained, exploring, score_alone, score_together, train_designs
 from evogymcm.algos.material_search import MaterialSearch
 from evogymcm.algos.ppo import PPOConfig
 from evogymcm.algos.runs import RunFolder, stop_on_interrupt
@@ -156,6 +156,8 @@ class Codesign:
         start = None
         if self.config.inherit and all(individual.parent is not None for individual in new):
             start = [self.policies[individual.parent] for individual in new if individual.parent is not None]
+            if self.config.inherit_std is not None:
+                start = [exploring(policy, self.config.inherit_std) for policy in start]
         bounds, steps = (0.0, *schedule.rungs, 1.0), 0
         for rung, (begin, end) in enumerate(pairwise(bounds)):
             total = max(1, round(self.config.ppo.total_steps * (end - begin)))

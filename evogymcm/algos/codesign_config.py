@@ -4,6 +4,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+import numpy as np
+
 from evogymcm.algos.design_search import DesignSearch
 from evogymcm.algos.evolution import GeneticAlgorithm, HalvingSchedule, RandomSearch
 from evogymcm.algos.generation import Arena
@@ -60,6 +62,8 @@ class CodesignConfig:
         mutation_rate: probability that a cell of a child is drawn anew.
         attempts: at a valid mutant, before another parent is drawn.
         inherit: whether a child starts from its parent's controller instead of a fresh one.
+        inherit_std: standard deviation with which an inherited controller explores at first, in half ranges of the
+            action; None for its own, which its parent's training has lowered.
         rungs: shares of the training budget at which bodies are compared (successive halving); none by default.
         keep: share of the bodies that go on after each rung.
         age_protection: generations in which new bodies are protected, see `GeneticAlgorithm`.
@@ -83,6 +87,7 @@ class CodesignConfig:
     mutation_rate: float = 0.1
     attempts: int = 50
     inherit: bool = False
+    inherit_std: float | None = None
     rungs: tuple[float, ...] = ()
     keep: tuple[float, ...] = ()
     age_protection: int = 0
@@ -112,6 +117,8 @@ class CodesignConfig:
             raise ValueError(f"max_env_steps: got {self.max_env_steps}, must be positive")
         if self.finetune_steps is not None and self.finetune_steps < 1:
             raise ValueError(f"finetune_steps: got {self.finetune_steps}, must be positive")
+        if self.inherit_std is not None and not (self.inherit and 0.0 < self.inherit_std < np.inf):
+            raise ValueError(f"inherit_std: got {self.inherit_std}, must be positive, and inherit must be on")
         if self.ppo.network != "voxel":
             raise ValueError(f"ppo.network: got {self.ppo.network!r}, bodies differ, so it must be 'voxel'")
         self.halving()

@@ -3,6 +3,7 @@
 A policy is a mapping as `train` saves it, of one design: its form, and the weights of actor and critic.
 """
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -22,7 +23,7 @@ from evogymcm.algos.sharing import PerDesign, stack_states, take_state
 from evogymcm.algos.training import Progress, TrainResult, limited_threads, train
 from evogymcm.envs import PopulationEnv
 
-__all__ = ["Arena", "Policy", "Trained", "score_alone", "score_together", "train_designs"]
+__all__ = ["Arena", "Policy", "Trained", "exploring", "score_alone", "score_together", "train_designs"]
 
 Policy = dict[str, Any]
 
@@ -112,6 +113,12 @@ def train_designs(
     start = None if start_from is None else _together(start_from, ppo.sharing)
     result = train(make_env, config, run=run, progress=progress, should_stop=should_stop, start_from=start)
     return _apart(result, n)
+
+
+def exploring(policy: Policy, std: float) -> Policy:
+    """Returns a policy with the same mean actions that explores with `std`, in half ranges of the action."""
+    log_std = torch.full_like(policy["actor"]["log_std"], math.log(std))
+    return policy | {"actor": policy["actor"] | {"log_std": log_std}}
 
 
 def _together(policies: Sequence[Policy], sharing: str) -> Policy:

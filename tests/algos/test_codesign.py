@@ -129,6 +129,21 @@ def test_inheritance_starts_from_the_parents_controller(tmp_path):
         torch.testing.assert_close(own["local.weight"], parent["local.weight"], atol=1e-6, rtol=1e-6)
 
 
+def test_inherited_controllers_can_explore_anew(tmp_path):
+    ppo = replace(PPO, learning_rate=1e-12, initial_std=2.0, final_std=2.0)
+    config = replace(TINY, inherit=True, inherit_std=0.5, ppo=ppo)
+    result = codesign(config, run=RunFolder(tmp_path / "run", {}))
+    run = RunFolder(tmp_path / "run", {}, resume=True)
+    for row in result.rows:
+        std = run.load(f"policy-{row['index']:04}")["actor"]["log_std"].exp()
+        expected = 2.0 if row["parent"] is None else 0.5
+        torch.testing.assert_close(std, torch.full_like(std, expected))
+    with pytest.raises(ValueError, match=r"inherit_std: got 0.5, must be positive, and inherit must be on"):
+        replace(TINY, inherit_std=0.5)
+    with pytest.raises(ValueError, match="inherit_std: got 0"):
+        replace(TINY, inherit=True, inherit_std=0.0)
+
+
 def test_halving_saves_training():
     whole, halved = codesign(TINY), codesign(replace(TINY, rungs=(0.5,), keep=(0.34,)))
     assert halved.finished

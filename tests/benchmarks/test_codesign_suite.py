@@ -28,7 +28,7 @@ def test_presets_give_both_arms_the_same_budget(suite):
     for name, preset in suite.PRESETS.items():
         jobs = preset.jobs()
         assert len({job.name for job in jobs}) == len(jobs)
-        arms = {"invariant"} if name == "hundred-bodies" else set(suite.EXPERIMENTS[preset.experiment])
+        arms = {"reactive"} if name == "hundred-bodies" else set(suite.EXPERIMENTS[preset.experiment])
         assert {job.config.arm for job in jobs} == arms
         assert len({replace(job.config, arm="fixed", task="", seed=0) for job in jobs}) == 1, name
     assert suite.PRESETS["reactive-paper"].base.budget == 100
