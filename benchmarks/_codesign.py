@@ -235,6 +235,12 @@ def table(rows: Sequence[Mapping[str, Any]]) -> str:
     return aligned(lines)
 
 
+def _panels(count: int) -> tuple[int, int]:
+    """Returns columns and rows of a figure with so many panels, at most three side by side."""
+    columns = min(count, 3)
+    return columns, -(-count // columns)
+
+
 def plot(runs: Sequence[Mapping[str, Any]], path: Path) -> None:
     """Draws the best score against env-steps of all kinds: mean and its interval over seeds, and single seeds."""
     import matplotlib as mpl
@@ -246,22 +252,28 @@ def plot(runs: Sequence[Mapping[str, Any]], path: Path) -> None:
     tasks = [task for task in PAPER if any(run["task"] == task for run in runs)]
     if not tasks:
         return  # stopped before any run had a score
-    figure, axes = plt.subplots(1, len(tasks), figsize=(5 * len(tasks), 3.6), squeeze=False, layout="constrained")
-    for axis, task in zip(axes.flat, tasks, strict=True):
+    columns, n_rows = _panels(len(tasks))
+    size = (5 * columns, 3.6 * n_rows)
+    figure, axes = plt.subplots(n_rows, columns, figsize=size, squeeze=False, layout="constrained")
+    for axis, task in zip(axes.flat, tasks, strict=False):
         of_task = [run for run in runs if run["task"] == task]
         end = min(run["curve"][-1][0] for run in of_task)
         grid = np.linspace(0, end, 200)
         for arm in dict.fromkeys(run["arm"] for run in of_task):
             lines = np.stack([best_at(run["curve"], grid) for run in of_task if run["arm"] == arm])
             known = np.isfinite(lines).all(0)
-            axis.plot(grid, lines.T, color=COLOURS[arm], lw=0.6, alpha=0.5)
-            axis.plot(grid[known], lines[:, known].mean(0), color=COLOURS[arm], lw=2, label=arm)
+            style = {"color": COLOURS[arm], "drawstyle": "steps-post"}
+            axis.plot(grid, lines.T, lw=0.6, alpha=0.5, **style)
+            axis.plot(grid[known], lines[:, known].mean(0), lw=2, label=arm, **style)
             if len(lines) > 1:
-                axis.fill_between(grid[known], *mean_interval(lines[:, known]), color=COLOURS[arm], alpha=0.12)
+                ends = mean_interval(lines[:, known])
+                axis.fill_between(grid[known], *ends, color=COLOURS[arm], alpha=0.12, step="post")
         axis.set(title=task, xlabel="simulated env-steps, of all kinds", ylabel="best score so far")
         axis.ticklabel_format(axis="x", style="sci", scilimits=(0, 0))
         seeds = f"mean of {len(lines)} seeds, 95 % interval" if len(lines) > 1 else "one seed"
         axis.legend(fontsize="small", title=seeds, title_fontsize="small")
+    for axis in axes.flat[len(tasks) :]:
+        axis.set_axis_off()
     figure.savefig(path, dpi=150)
     plt.close(figure)
 
@@ -280,11 +292,10 @@ def draw_designs(runs: Sequence[Mapping[str, Any]], path: Path) -> None:
     shown = sorted((run for run in runs if run["best"]), key=lambda run: (run["task"], run["arm"], run["seed"]))
     if not shown:
         return
-    columns = len({run["seed"] for run in shown})
-    n_rows = -(-len(shown) // columns)
-    figure, axes = plt.subplots(
-        n_rows, columns, figsize=(2.1 * columns, 2.4 * n_rows), squeeze=False, layout="constrained"
-    )
+    seeds = len({run["seed"] for run in shown})
+    columns, n_rows = (seeds, -(-len(shown) // seeds)) if seeds > 1 else _panels(len(shown))
+    size = (2.1 * columns, 2.4 * n_rows)
+    figure, axes = plt.subplots(n_rows, columns, figsize=size, squeeze=False, layout="constrained")
     for axis, run in zip(axes.flat, shown, strict=False):
         grid = Body(run["best"]["body"], run["best"]["connections"]).grid
         stiffness = run["best"]["stiffness"]
