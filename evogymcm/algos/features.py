@@ -156,7 +156,9 @@ class NormalizedDense(Dense):
 
     def forward(self, x: Tensor) -> Tensor:
         """Returns the layer's output for raw inputs, (..., in_features) -> (..., out_features)."""
-        weight = self.weight * self.scale.unsqueeze(-2) if self.frame is None else self.weight @ self.scale
+        # Made as columns: the gradient by it is a product that is faster for widths like that of `voxel_inputs`.
+        weight = self.weight.mT * self.scale.unsqueeze(-1) if self.frame is None else self.scale.mT @ self.weight.mT
+        weight = weight.mT
         bias = self.bias - (self.weight @ self.shift.unsqueeze(-1)).squeeze(-1)
         return affine(x, weight, bias)
 
