@@ -157,16 +157,18 @@ _PAPER = replace(
     ppo=_body_budget(1_000_000, num_worlds=64, minibatch=512),
 )
 _QUICK = replace(_SMALL, max_env_steps=150_000, ppo=_body_budget(10_000))
-_HUNDRED = replace(  # about 50,000 env-steps a body: what halving saves goes to the best of each generation
-    _SMALL,
-    population=20,
-    budget=100,
-    max_env_steps=None,
-    inherit=True,
-    inherit_std=1.0,
-    rungs=(0.0625, 0.25),
-    keep=(0.4, 0.25),
-    ppo=_body_budget(320_000, num_worlds=32, eval_interval=20_000),
+_HUNDRED = (
+    replace(  # all bodies learn for 80,000 env-steps, which tells good ones, and the best fifth for another 160,000
+        _SMALL,
+        population=12,
+        budget=100,
+        max_env_steps=None,
+        inherit=True,
+        inherit_std=0.6,
+        rungs=(1 / 3,),
+        keep=(0.2,),
+        ppo=_body_budget(240_000, num_worlds=32, eval_interval=20_000),
+    )
 )
 
 PRESETS: Mapping[str, CodesignSuite] = {
