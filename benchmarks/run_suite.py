@@ -12,9 +12,11 @@ searched stiffness fields and without. Both arms have the same budget of simulat
 """
 
 import multiprocessing
+import os
 import queue
 import signal
 import sys
+import threading
 import time
 import traceback
 from collections.abc import Callable, Iterator
@@ -48,7 +50,7 @@ class Options:
             (1 task, minutes), -small (2 tasks, 3 seeds), -medium (the same, hours) and -paper (6 tasks, 100 bodies of
             1,000,000 env-steps a run: days), -shortcuts (as -small, with policy inheritance and successive halving, see
             steps_to_reach.py). hundred-bodies: the reactive arm with the budget of bodies of published genetic
-            algorithms, 6 tasks, about 2 hours.
+            algorithms, 6 tasks, about 3 hours.
         tasks: tasks instead of the preset's.
         arms: "control-only", "co-optimisation" or both, instead of the preset's; in B "fixed", "reactive", in C
             "prescribed", "invariant".
@@ -113,6 +115,15 @@ def _start_worker(link: _Link) -> None:
     _link = link
     keep_freed_memory()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with_main, daemon=True).start()
+
+
+def _end_with_main() -> None:
+    """Ends a worker whose main process was killed: nobody waits for it, and a resumed suite writes where it does."""
+    main_process = multiprocessing.parent_process()
+    assert main_process is not None
+    main_process.join()
+    os._exit(1)
 
 
 def _run_job(job: Job | CodesignJob, folder: Path, resume: bool) -> dict[str, Any]:

@@ -7,6 +7,7 @@ import queue
 import subprocess
 import sys
 import threading
+import time
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -259,6 +260,18 @@ def test_a_tiny_suite_from_end_to_end(tmp_path):
     assert done.returncode == 1
     assert "control-only" in done.stderr
     assert "config.json" in done.stderr
+
+
+@pytest.mark.slow
+def test_a_killed_suite_leaves_no_worker_behind(tmp_path):
+    command = [sys.executable, str(BENCHMARKS / "run_suite.py"), "--preset", "quick", "--output", str(tmp_path / "run")]
+    suite = subprocess.Popen([*command, "--processes", "1"], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
+    while suite.poll() is None and not list(tmp_path.glob("run/*/curve.jsonl")):
+        time.sleep(0.1)
+    suite.kill()
+    suite.communicate(timeout=20)  # until no process holds its output any more
+    (curve,) = tmp_path.glob("run/*/curve.jsonl")
+    assert len(curve.read_text().splitlines()) < 200  # it had not come to its end
 
 
 def _check_signals(folder: Path, runs: list[dict]) -> Path:
