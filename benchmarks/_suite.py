@@ -72,7 +72,7 @@ PRESETS: Mapping[str, Suite] = {
     "quick": Suite(("Walker-v0",), tuple(ARMS), (0,), PPOConfig(total_steps=500_000)),
     "walker": Suite(("Walker-v0",), ("co-optimisation",), (0, 1, 2), PPOConfig(total_steps=600_000)),
     "standard": Suite(tuple(PAPER), tuple(ARMS), (0,), PPOConfig(total_steps=500_000)),
-    "table": Suite(tuple(PAPER), tuple(ARMS), (0, 1, 2), PPOConfig(total_steps=400_000, eval_interval=20_000)),
+    "table": Suite(tuple(PAPER), tuple(ARMS), (0, 1, 2), PPOConfig(total_steps=600_000, eval_interval=20_000)),
     "paper": Suite(tuple(PAPER), tuple(ARMS), (0, 1, 2), PPOConfig(total_steps=1_000_000)),
 }
 

@@ -147,7 +147,7 @@ class VoxelActor(Actor):
         self,
         task_features: int,
         ranges: Mapping[str, tuple[float, float]],
-        hidden: int = 64,
+        hidden: int = 32,
         initial_std: float = 1.0,
         context: str = "body",
         columns: int = 1,
@@ -161,7 +161,7 @@ class VoxelActor(Actor):
         self.form |= {"context": context, "columns": columns, "copies": copies}
         self.encode = NormalizedDense(N_INPUTS, hidden, voxel_frame(), copies)
         self.task = NormalizedDense(task_features, hidden, copies=copies)
-        self.local = Dense(hidden, hidden, copies=copies)
+        self.local = Dense(hidden, hidden, bias=False, copies=copies)  # that of the task's features is the layer's
         self.context = CONTEXTS[context](hidden, copies)
         self.heads = Dense(hidden, len(ranges), copies=copies)
         for layer in (self.encode, self.local):
@@ -234,7 +234,7 @@ class MLPActor(Actor):
 
 def make_actor(
     env: EnvBase,
-    hidden: int = 64,
+    hidden: int | None = None,
     initial_std: float = 1.0,
     *,
     network: str = "voxel",
@@ -245,7 +245,7 @@ def make_actor(
 
     Args:
         env: a SoftRobotEnv.
-        hidden: width of the hidden layers.
+        hidden: width of the hidden layers; None for that of the network's kind, 32 ("voxel") or 64 ("mlp").
         initial_std: standard deviation that training starts with, in half ranges of the action.
         network: "voxel", or "mlp" for the plain network on the flat observation, where all bodies are equal.
         context: of the voxel network, see `VoxelActor`.
@@ -258,11 +258,11 @@ def make_actor(
     spaces = {name: spec.space for name, spec in env.full_action_spec["action"].items()}
     ranges = {name: (space.low.min().item(), space.high.max().item()) for name, space in spaces.items()}
     spec = env.observation_spec
+    options: dict[str, Any] = {"initial_std": initial_std, "copies": copies}
+    options |= {} if hidden is None else {"hidden": hidden}
     if network == "mlp":
-        n_cells = spec["occupancy"].shape[-1]
-        return MLPActor(spec["observation"].shape[-1], n_cells, ranges, hidden, initial_std, copies)
-    columns = env.grid_shape[1]
-    return VoxelActor(spec["task"].shape[-1], ranges, hidden, initial_std, context, columns, copies)
+        return MLPActor(spec["observation"].shape[-1], spec["occupancy"].shape[-1], ranges, **options)
+    return VoxelActor(spec["task"].shape[-1], ranges, context=context, columns=env.grid_shape[1], **options)
 
 
 def load_actor(checkpoint: Mapping[str, Any], index: int | None = None) -> Actor:

@@ -1,6 +1,7 @@
 """State values: one that pools over the voxels of a body, and a plain one to compare with."""
 
 import math
+from typing import Any
 
 import torch
 from tensordict import TensorDictBase
@@ -25,7 +26,7 @@ class VoxelCritic(TensorDictModuleBase):
     in_keys = ["voxels", "types", "task", "occupancy"]  # noqa: RUF012
     out_keys = ["state_value"]  # noqa: RUF012
 
-    def __init__(self, task_features: int, hidden: int = 64, copies: int | None = None) -> None:
+    def __init__(self, task_features: int, hidden: int = 32, copies: int | None = None) -> None:
         super().__init__()
         self.encode = NormalizedDense(N_INPUTS, hidden, voxel_frame(), copies)
         self.task = NormalizedDense(task_features, hidden, copies=copies)
@@ -83,10 +84,13 @@ class MLPCritic(TensorDictModuleBase):
 Critic = VoxelCritic | MLPCritic
 
 
-def make_critic(env: EnvBase, hidden: int = 64, *, network: str = "voxel", copies: int | None = None) -> Critic:
+def make_critic(
+    env: EnvBase, hidden: int | None = None, *, network: str = "voxel", copies: int | None = None
+) -> Critic:
     """Returns an untrained critic that fits the observations of `env`; arguments as for `make_actor`."""
     check_network(network, env)
     spec = env.observation_spec
+    options: dict[str, Any] = {"copies": copies} | ({} if hidden is None else {"hidden": hidden})
     if network == "mlp":
-        return MLPCritic(spec["observation"].shape[-1], hidden, copies)
-    return VoxelCritic(spec["task"].shape[-1], hidden, copies)
+        return MLPCritic(spec["observation"].shape[-1], **options)
+    return VoxelCritic(spec["task"].shape[-1], **options)

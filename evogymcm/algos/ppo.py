@@ -58,7 +58,7 @@ class PPOConfig:
         max_grad_norm: limit of the gradient's norm, of actor and critic each.
         target_kl: an update stops after an epoch that moved the policy further than 1.5 times this; 0 for no limit.
         reward_scale: factor on rewards within the learner; scores and returns are never scaled.
-        hidden: width of the networks.
+        hidden: width of the networks; None for that of their kind, 32 ("voxel") or 64 ("mlp").
         network: "voxel" (shared by all voxels of any body) or "mlp" (plain, on the flat observation of one body).
         context: what a voxel knows of the rest of its body, see `VoxelActor`.
         sharing: "shared" (one set of weights for all designs) or "independent" (a set for each, trained side by side).
@@ -90,7 +90,7 @@ class PPOConfig:
     max_grad_norm: float = 0.5
     target_kl: float = 0.03
     reward_scale: float = 10.0
-    hidden: int = 64
+    hidden: int | None = None
     network: str = "voxel"
     context: str = "body"
     sharing: str = "shared"
