@@ -157,18 +157,22 @@ _PAPER = replace(
     ppo=_body_budget(1_000_000, num_worlds=64, minibatch=512),
 )
 _QUICK = replace(_SMALL, max_env_steps=150_000, ppo=_body_budget(10_000))
-_HUNDRED = (
-    replace(  # all bodies learn for 80,000 env-steps, which tells good ones, and the best fifth for another 160,000
-        _SMALL,
-        population=12,
-        budget=100,
-        max_env_steps=None,
-        inherit=True,
-        inherit_std=0.6,
-        rungs=(1 / 3,),
-        keep=(0.2,),
-        ppo=_body_budget(240_000, num_worlds=32, eval_interval=20_000),
-    )
+_HUNDRED = replace(_SMALL, budget=PUBLISHED_BODIES, max_env_steps=None, inherit=True)
+_HUNDRED_REACTIVE = replace(  # all learn for 80,000 env-steps, then the best fifth for 160,000 more
+    _HUNDRED,
+    population=12,
+    inherit_std=0.6,
+    rungs=(1 / 3,),
+    keep=(0.2,),
+    ppo=_body_budget(240_000, num_worlds=32, eval_interval=20_000),
+)
+_HUNDRED_INVARIANT = replace(  # fewer env-steps of training; survivors are searched and trained on
+    _HUNDRED,
+    population=20,
+    rungs=(0.125, 0.3),
+    keep=(0.4, 0.3),
+    finetune_steps=20_000,
+    ppo=_body_budget(160_000, num_worlds=32),
 )
 
 PRESETS: Mapping[str, CodesignSuite] = {
@@ -177,12 +181,13 @@ PRESETS: Mapping[str, CodesignSuite] = {
     "reactive-shortcuts": _suite("B", ("AreaMaximizer-v0", "DownStepper-v0"), (0, 1, 2), _SHORTCUTS),
     "reactive-medium": _suite("B", ("AreaMaximizer-v0", "DownStepper-v0"), (0, 1, 2), _MEDIUM),
     "reactive-paper": _suite("B", tuple(PAPER), (0, 1, 2), _PAPER),
-    "hundred-bodies": _suite("B", tuple(PAPER), (0,), _HUNDRED, ("reactive",)),
+    "hundred-bodies-reactive": _suite("B", tuple(PAPER), (0,), _HUNDRED_REACTIVE, ("reactive",)),
     "invariant-quick": _suite("C", ("BridgeWalker-v0",), (0,), _QUICK),
     "invariant-small": _suite("C", ("BridgeWalker-v0", "Walker-v0"), (0, 1, 2), _SMALL),
     "invariant-shortcuts": _suite("C", ("BridgeWalker-v0", "Walker-v0"), (0, 1, 2), _SHORTCUTS),
     "invariant-medium": _suite("C", ("BridgeWalker-v0", "Walker-v0"), (0, 1, 2), _MEDIUM),
     "invariant-paper": _suite("C", tuple(PAPER), (0, 1, 2), _PAPER),
+    "hundred-bodies-invariant": _suite("C", tuple(PAPER), (0,), _HUNDRED_INVARIANT, ("invariant",)),
 }
 
 

@@ -28,7 +28,8 @@ def test_presets_give_both_arms_the_same_budget(suite):
     for name, preset in suite.PRESETS.items():
         jobs = preset.jobs()
         assert len({job.name for job in jobs}) == len(jobs)
-        arms = {"reactive"} if name == "hundred-bodies" else set(suite.EXPERIMENTS[preset.experiment])
+        is_hundred = name.startswith("hundred-bodies-")
+        arms = {name.split("-")[-1]} if is_hundred else set(suite.EXPERIMENTS[preset.experiment])
         assert {job.config.arm for job in jobs} == arms
         assert len({replace(job.config, arm="fixed", task="", seed=0) for job in jobs}) == 1, name
     assert suite.PRESETS["reactive-paper"].base.budget == 100
@@ -36,7 +37,7 @@ def test_presets_give_both_arms_the_same_budget(suite):
 
 
 def test_the_cost_of_a_preset_counts_env_steps_of_all_kinds(suite):
-    hundred = suite.PRESETS["hundred-bodies"]
+    hundred = suite.PRESETS["hundred-bodies-invariant"]
     assert hundred.base.budget == suite.PUBLISHED_BODIES
     costs = [suite.cost_of(replace(hundred.base, task=task)) for task in hundred.tasks]
     assert hundred.steps_per_run == max(cost.total for cost in costs) > max(cost.training for cost in costs)
