@@ -199,7 +199,11 @@ def best_at(points: Sequence[Sequence[float]], steps: Sequence[float] | np.ndarr
 
 
 def summarise(runs: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """Returns one row per task and arm: best fitness over the seeds, where the shortest run of the task ended."""
+    """Returns one row per task and arm: best fitness over the seeds, where the shortest run of the task ended.
+
+    A phase's result is there at its end only, so that a cut shortly before the end of a generation takes all of it from
+    a run. Hence `ends`, the best of whole runs, which end within a phase of each other.
+    """
     rows = []
     for task in PAPER:
         of_task = [run for run in runs if run["task"] == task and run["curve"]]
@@ -218,6 +222,8 @@ def summarise(runs: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
                     "scores": scores,
                     "mean": float(np.mean(scores)),
                     "std": float(np.std(scores, ddof=1)) if len(scores) > 1 else None,
+                    "ends": [float(run["curve"][-1][1]) for run in group],
+                    "end_steps": float(np.mean([run["curve"][-1][0] for run in group])),
                     "returns": returns,
                 }
             )
@@ -227,6 +233,7 @@ def summarise(runs: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
 def table(rows: Sequence[Mapping[str, Any]]) -> str:
     """Returns the summary as text; beside published returns where as many bodies were trained."""
     head = ["task", "arm", "seeds", "env-steps", "bodies trained", "best score", "of each seed"]
+    head += ["of whole runs", "to env-steps"]
     compared = [row["bodies"] == PUBLISHED_BODIES and bool(row.get("returns")) for row in rows]
     if any(compared):
         head += ["best return", "published"]
@@ -236,6 +243,7 @@ def table(rows: Sequence[Mapping[str, Any]]) -> str:
         each = " ".join(f"{score:.2f}" for score in row["scores"])
         cells = [row["task"], row["arm"], str(row["seeds"]), f"{row['env_steps']:,.0f}", f"{row['bodies']:.0f}"]
         cells += [f"{row['mean']:.2f}{spread}", each]
+        cells += [" ".join(f"{score:.2f}" for score in row["ends"]), f"{row['end_steps']:,.0f}"]
         if is_compared:
             cells += [f"{np.mean(row['returns']):.2f}", f"{PUBLISHED[row['task']]:.2f}"]
         lines.append(cells + [""] * (len(head) - len(cells)))

@@ -48,7 +48,7 @@ def test_returns_stand_beside_published_ones_where_as_many_bodies_were_trained(s
     few = record("fixed", 0, [[100, 1.0], [200, 3.0]]) | {"best_return": 4.25}
     assert "published" not in suite.table(suite.summarise([few]))
     shown = suite.table(suite.summarise([few | {"bodies": 100}]))
-    assert shown.splitlines()[1].split()[-3:] == ["3.00", "4.25", "10.55"]
+    assert shown.splitlines()[1].split()[-4:] == ["3.00", "200", "4.25", "10.55"]
 
 
 def test_wrong_arms_and_tasks_are_refused(suite):
@@ -69,7 +69,10 @@ def test_runs_are_compared_where_the_shortest_ends(suite):
     fixed, reactive = suite.summarise(runs)
     assert (fixed["scores"], fixed["env_steps"]) == ([3.0, 4.0], 300)
     assert (fixed["mean"], reactive["mean"]) == (3.5, 5.0)
-    assert "3.50 (0.71)" in suite.table([fixed, reactive])
+    assert (fixed["ends"], fixed["end_steps"], reactive["ends"]) == ([7.0, 4.0], 350, [6.0])
+    shown = suite.table([fixed, reactive])
+    assert "3.50 (0.71)" in shown
+    assert "7.00 4.00" in shown
 
 
 def test_figures(suite, tmp_path):
