@@ -15,7 +15,7 @@ import numpy as np
 
 from evogymcm.algos.codesign_config import ARMS, CodesignConfig, SearchConfig
 from evogymcm.algos.design_search import Design, Individual
-from evogymcm.algos.generation import Policy, Trained, exploring, score_alone, score_together, train_designs
+from evogymcm.algos.generation import Policy, Trained, exploring, score_alone, score_proposals, train_designs
 from evogymcm.algos.material_search import MaterialSearch
 from evogymcm.algos.ppo import PPOConfig
 from evogymcm.algos.runs import RunFolder, stop_on_interrupt
@@ -194,7 +194,7 @@ class Codesign:
         while not search.is_finished:
             if self._is_stopped():
                 return False  # no more than a search is lost
-            scores, returns, spent = self._score_proposals(search, survivors, policies)
+            scores, returns, spent = score_proposals(self.arena, search, survivors, policies)
             for i in np.flatnonzero(search.tell(scores)):
                 self.returns[survivors[i].index] = float(returns[i])
             steps += spent
@@ -206,36 +206,6 @@ class Codesign:
         self._record_survivors("search")
         self.phase = "finetune"
         return True
-
-    def _score_proposals(
-        self, search: MaterialSearch, survivors: list[Individual], policies: list[Policy]
-    ) -> tuple[np.ndarray, np.ndarray, int]:
-        """Scores all proposals of a round in one batch, and the best of each that may be accepted also by itself.
-
-        Returns:
-            Scores of all proposals, (survivors * candidates,); returns of those also scored by themselves,
-            (survivors,); the env-steps simulated.
-        """
-        copies = self.config.search.candidates
-        fields = search.ask().reshape(len(survivors), copies, *self.config.shape)
-        designs = [
-            Design(individual.design.body, fields[i, copy])
-            for copy in range(copies)
-            for i, individual in enumerate(survivors)
-        ]
-        together = score_together(self.arena, designs, policies, copies)
-        scores = together.score.reshape(copies, len(survivors)).T.copy()  # (survivors, candidates)
-        picks = scores.argmax(1)
-        promising = [i for i in range(len(survivors)) if scores[i, picks[i]] >= search.best.scores[i]]
-        returns, steps = np.full(len(survivors), np.nan), together.env_steps
-        if promising:
-            chosen = [Design(survivors[i].design.body, fields[i, picks[i]]) for i in promising]
-            alone = score_alone(self.arena, chosen, [policies[i] for i in promising])
-            below = np.nextafter(alone.score, -np.inf)  # none of the others, scored in a batch, may be taken for it
-            scores[promising] = np.minimum(scores[promising], below[:, None])
-            scores[promising, picks[promising]], returns[promising] = alone.score, alone.returns
-            steps += alone.env_steps
-        return scores.ravel(), returns, steps
 
     def _finetune(self) -> bool:
         """Trains the survivors on, each on its present material; a policy is replaced only by a better one."""

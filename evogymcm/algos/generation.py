@@ -15,15 +15,25 @@ from tensordict.nn import TensorDictModuleBase
 from torchrl.envs import EnvBase
 
 from evogymcm.algos.actor import Actor, load_actor
-from evogymcm.algos.design_search import Design
+from evogymcm.algos.design_search import Design, Individual
 from evogymcm.algos.evaluate import Evaluation, evaluate
+from evogymcm.algos.material_search import MaterialSearch
 from evogymcm.algos.ppo import PPOConfig
 from evogymcm.algos.runs import RunFolder
 from evogymcm.algos.sharing import PerDesign, stack_states, take_state
 from evogymcm.algos.training import Progress, TrainResult, limited_threads, train
 from evogymcm.envs import PopulationEnv
 
-__all__ = ["Arena", "Policy", "Trained", "exploring", "score_alone", "score_together", "train_designs"]
+__all__ = [
+    "Arena",
+    "Policy",
+    "Trained",
+    "exploring",
+    "score_alone",
+    "score_proposals",
+    "score_together",
+    "train_designs",
+]
 
 Policy = dict[str, Any]
 
@@ -196,3 +206,41 @@ def score_together(
     actor.columns = env.grid_shape[1]
     with limited_threads(1):
         return evaluate(PerDesign(actor, len(policies)), env)
+
+
+def score_proposals(
+    arena: Arena, search: MaterialSearch, survivors: Sequence[Individual], policies: Sequence[Policy]
+) -> tuple[np.ndarray, np.ndarray, int]:
+    """Scores all proposals of a search's round in one batch, and the best of each that may be accepted also by itself.
+
+    Args:
+        arena: where.
+        search: with a round to be told.
+        survivors: S individuals that it searches for.
+        policies: their controllers.
+
+    Returns:
+        Scores of all proposals, (S * candidates,); returns of those also scored by themselves, (S,), NaN for others;
+        the env-steps simulated.
+    """
+    fields = search.ask()  # (S * candidates, rows, columns)
+    fields = fields.reshape(len(survivors), -1, *fields.shape[1:])
+    copies = fields.shape[1]
+    designs = [
+        Design(individual.design.body, fields[i, copy])
+        for copy in range(copies)
+        for i, individual in enumerate(survivors)
+    ]
+    together = score_together(arena, designs, policies, copies)
+    scores = together.score.reshape(copies, len(survivors)).T.copy()  # (survivors, candidates)
+    picks = scores.argmax(1)
+    promising = [i for i in range(len(survivors)) if scores[i, picks[i]] >= search.best.scores[i]]
+    returns, steps = np.full(len(survivors), np.nan), together.env_steps
+    if promising:
+        chosen = [Design(survivors[i].design.body, fields[i, picks[i]]) for i in promising]
+        alone = score_alone(arena, chosen, [policies[i] for i in promising])
+        below = np.nextafter(alone.score, -np.inf)  # none of the others, scored in a batch, may be taken for it
+        scores[promising] = np.minimum(scores[promising], below[:, None])
+        scores[promising, picks[promising]], returns[promising] = alone.score, alone.returns
+        steps += alone.env_steps
+    return scores.ravel(), returns, steps

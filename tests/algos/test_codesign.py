@@ -74,7 +74,7 @@ def test_scores_and_returns_can_be_had_again_to_the_last_bit(arm, is_blurred, tm
             exact = score_together(*args)
             return replace(exact, score=exact.score + rng.normal(scale=0.01, size=exact.score.shape))
 
-        monkeypatch.setattr("evogymcm.algos.codesign.score_together", blurred)
+        monkeypatch.setattr("evogymcm.algos.generation.score_together", blurred)
         search = SearchConfig(rounds=4, candidates=4, probability=1.0, acceptance="paper")
         config = replace(config, search=search)
     run = RunFolder(tmp_path / "run", asdict(config))
