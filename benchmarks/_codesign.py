@@ -11,7 +11,7 @@ from _suite import PAPER
 from _text import aligned
 
 from evogymcm.algos import PPOConfig, RunFolder
-from evogymcm.algos.codesign import CodesignConfig, codesign
+from evogymcm.algos.codesign import CodesignConfig, SearchConfig, codesign
 from evogymcm.algos.codesign_cost import cost_of
 
 EXPERIMENTS: Mapping[str, tuple[str, str]] = {"B": ("fixed", "reactive"), "C": ("prescribed", "invariant")}
@@ -166,13 +166,15 @@ _HUNDRED_REACTIVE = replace(  # all learn for 80,000 env-steps, then the best fi
     keep=(0.2,),
     ppo=_body_budget(240_000, num_worlds=32, eval_interval=20_000),
 )
-_HUNDRED_INVARIANT = replace(  # fewer env-steps of training; survivors are searched and trained on
+_HUNDRED_INVARIANT = replace(  # all learn for 40,000 env-steps, then the best third on; survivors are searched, too
     _HUNDRED,
-    population=20,
-    rungs=(0.125, 0.3),
-    keep=(0.4, 0.3),
-    finetune_steps=20_000,
-    ppo=_body_budget(160_000, num_worlds=32),
+    population=12,
+    inherit_std=1.0,
+    rungs=(0.25,),
+    keep=(1 / 3,),
+    search=SearchConfig(rounds=4, candidates=4),
+    finetune_steps=10_000,
+    ppo=_body_budget(160_000, num_worlds=32, initial_std=2.0),
 )
 
 PRESETS: Mapping[str, CodesignSuite] = {
