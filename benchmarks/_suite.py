@@ -68,17 +68,18 @@ class Suite:
         ]
 
 
-_THOROUGH = PPOConfig(  # explores widely and takes four times as many gradient steps, at half the speed
-    total_steps=1_000_000, num_worlds=32, minibatch=128, initial_std=2.0, eval_interval=20_000
-)
-
 PRESETS: Mapping[str, Suite] = {
     "quick": Suite(("Walker-v0",), tuple(ARMS), (0,), PPOConfig(total_steps=500_000)),
     "walker": Suite(("Walker-v0",), ("co-optimisation",), (0, 1, 2), PPOConfig(total_steps=600_000)),
     "standard": Suite(tuple(PAPER), tuple(ARMS), (0,), PPOConfig(total_steps=500_000)),
     "table": Suite(tuple(PAPER), tuple(ARMS), (0, 1, 2), PPOConfig(total_steps=600_000, eval_interval=20_000)),
     "paper": Suite(tuple(PAPER), tuple(ARMS), (0, 1, 2), PPOConfig(total_steps=1_000_000)),
-    "thorough": Suite(tuple(PAPER), tuple(ARMS), (0, 1, 2), _THOROUGH),
+    "exploring": Suite(  # nearly all actions are bounds at first, which areas need to find deeper postures
+        ("AreaMaximizer-v0", "AreaMinimizer-v0"),
+        tuple(ARMS),
+        (0, 1, 2),
+        PPOConfig(total_steps=600_000, eval_interval=20_000, initial_std=4.0),
+    ),
 }
 
 
