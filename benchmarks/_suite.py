@@ -74,8 +74,8 @@ PRESETS: Mapping[str, Suite] = {
     "standard": Suite(tuple(PAPER), tuple(ARMS), (0,), PPOConfig(total_steps=500_000)),
     "table": Suite(tuple(PAPER), tuple(ARMS), (0, 1, 2), PPOConfig(total_steps=600_000, eval_interval=20_000)),
     "paper": Suite(tuple(PAPER), tuple(ARMS), (0, 1, 2), PPOConfig(total_steps=1_000_000)),
-    "exploring": Suite(  # nearly all actions are bounds at first, which areas need to find deeper postures
-        ("AreaMaximizer-v0", "AreaMinimizer-v0"),
+    "exploring": Suite(  # nearly all actions are bounds at first: PPO finds a posture that it passes by otherwise
+        ("AreaMinimizer-v0",),
         tuple(ARMS),
         (0, 1, 2),
         PPOConfig(total_steps=600_000, eval_interval=20_000, initial_std=4.0),

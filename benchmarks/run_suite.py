@@ -46,11 +46,11 @@ class Options:
     Attributes:
         preset: A: quick (Walker-v0, both arms, under 5 minutes on 2 cores), walker (Walker-v0 with stiffness control,
             3 seeds, about as long), standard (6 tasks, 1 seed, 500,000 env-steps each), table (6 tasks, 3 seeds,
-            600,000 env-steps each), paper (the same with 1,000,000), exploring (as table, but with initial_std 4, in
-            the tasks of areas). B and C: reactive-... and invariant-quick (1 task, minutes), -small (2 tasks, 3 seeds), -medium (the same, hours) and -paper (6 tasks, 100 bodies of
-            1,000,000 env-steps a run: days), -shortcuts (as -small, with policy inheritance and successive halving, see
-            steps_to_reach.py). hundred-bodies-reactive, -invariant: one arm with as many bodies as published genetic
-            algorithms train, 6 tasks, hours.
+            600,000 env-steps each), paper (the same with 1,000,000), exploring (as table, AreaMinimizer-v0 only, with
+            initial_std 4). B and C: reactive-... and invariant-quick (1 task, minutes), -small (2 tasks, 3 seeds),
+            -medium (the same, hours) and -paper (6 tasks, 100 bodies of 1,000,000 env-steps a run: days), -shortcuts
+            (as -small, with policy inheritance and successive halving, see steps_to_reach.py). hundred-bodies-reactive,
+            -invariant: one arm with as many bodies as published genetic algorithms train, 6 tasks, hours.
         tasks: tasks instead of the preset's.
         arms: "control-only", "co-optimisation" or both, instead of the preset's; in B "fixed", "reactive", in C
             "prescribed", "invariant".
