@@ -43,6 +43,7 @@ class Experiment:
         finetune_steps: env-steps of training on each unseen body.
         worlds: worlds of each body.
         context: what a voxel knows of the rest of its body, see `PPOConfig`.
+        hidden: width of the networks; None for the default.
         seed: of bodies, weights and exploration.
     """
 
@@ -54,6 +55,7 @@ class Experiment:
     finetune_steps: int = 50_000
     worlds: int = 8
     context: Literal["none", "body", "message", "attention"] = "body"
+    hidden: int | None = None
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -88,6 +90,7 @@ class Experiment:
             num_worlds=self.worlds,
             eval_interval=max(1, steps // _EVALUATIONS["seen" if is_first else "unseen"]),
             context=self.context,
+            hidden=self.hidden,
             seed=self.seed,
         )
         if policy == "shared":
