@@ -166,7 +166,15 @@ _HUNDRED_REACTIVE = replace(  # all learn for 80,000 env-steps, then the best fi
     keep=(0.2,),
     ppo=_body_budget(240_000, num_worlds=32, eval_interval=20_000),
 )
-_HUNDRED_INVARIANT = replace(  # all learn for 40,000 env-steps, then the best third on; survivors are searched, too
+_HUNDRED_INVARIANT = replace(  # fewer env-steps of training; survivors are searched and trained on
+    _HUNDRED,
+    population=20,
+    rungs=(0.125, 0.3),
+    keep=(0.4, 0.3),
+    finetune_steps=20_000,
+    ppo=_body_budget(160_000, num_worlds=32),
+)
+_HUNDRED_EXPLORING = replace(  # wide exploration at first, and more than their parent's in children
     _HUNDRED,
     population=12,
     inherit_std=1.0,
@@ -190,6 +198,7 @@ PRESETS: Mapping[str, CodesignSuite] = {
     "invariant-medium": _suite("C", ("BridgeWalker-v0", "Walker-v0"), (0, 1, 2), _MEDIUM),
     "invariant-paper": _suite("C", tuple(PAPER), (0, 1, 2), _PAPER),
     "hundred-bodies-invariant": _suite("C", tuple(PAPER), (0,), _HUNDRED_INVARIANT, ("invariant",)),
+    "hundred-bodies-exploring-invariant": _suite("C", tuple(PAPER), (0,), _HUNDRED_EXPLORING, ("invariant",)),
 }
 
 
