@@ -63,7 +63,7 @@ class CodesignSuite:
     def steps_per_run(self) -> int:
         """The most env-steps of all kinds that a run takes, but for what it goes beyond a limit."""
         limit = self.base.max_env_steps or np.inf
-        return int(min(limit, max(cost_of(replace(self.base, task=task)).total for task in self.tasks)))
+        return int(min(limit, max(cost_of(job.config).total for job in self.jobs())))
 
     def jobs(self) -> list["CodesignJob"]:
         """Returns all runs, seed by seed, so that an early stop leaves whole comparisons."""
