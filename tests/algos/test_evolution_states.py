@@ -1,26 +1,11 @@
 """Searches over bodies: stopping and going on, and bad input."""
 
-import io
-import json
-
 import numpy as np
 import pytest
-import torch
 
 from evogymcm.algos.evolution import GeneticAlgorithm, RandomSearch
 from tests.algos.test_evolution import SHAPE, play
-
-
-def through_json(state):
-    return json.loads(json.dumps(state, allow_nan=False))
-
-
-def through_torch(state):
-    file = io.BytesIO()
-    torch.save(state, file)
-    file.seek(0)
-    return torch.load(file, weights_only=True)
-
+from tests.algos.tools import through_json, through_torch
 
 # Stopping and going on
 

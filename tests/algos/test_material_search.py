@@ -1,17 +1,15 @@
 """Search for stiffness fields, on objectives that need no simulator."""
 
-import io
-import json
 import sys
 
 import numpy as np
 import pytest
-import torch
 
 from evogymcm.algos.designs import Design, Individual
 from evogymcm.algos.material_search import MaterialSearch
 from evogymcm.algos.stiffness_proposals import perturb_stiffness
 from evogymcm.body import Body, sample_body
+from tests.algos.tools import through_json, through_torch
 
 BODY = Body("HHRSV/SS.HH/R...V")
 TARGET = np.linspace(0.6, 1.9, 15).reshape(3, 5)
@@ -235,17 +233,6 @@ def test_without_the_package_the_extra_is_named(monkeypatch):
 
 
 # Stopping and going on
-
-
-def through_json(state):
-    return json.loads(json.dumps(state, allow_nan=False))
-
-
-def through_torch(state):
-    file = io.BytesIO()
-    torch.save(state, file)
-    file.seek(0)
-    return torch.load(file, weights_only=True)
 
 
 @pytest.mark.parametrize("carry", [through_json, through_torch])
