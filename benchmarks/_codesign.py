@@ -184,6 +184,9 @@ _HUNDRED_EXPLORING = replace(  # wide exploration at first, and more than their 
     finetune_steps=10_000,
     ppo=_body_budget(160_000, num_worlds=32, initial_std=2.0),
 )
+_HUNDRED_LONG = replace(  # the same with more than twice the training
+    _HUNDRED_EXPLORING, ppo=_body_budget(400_000, num_worlds=32, initial_std=2.0, eval_interval=20_000)
+)
 
 PRESETS: Mapping[str, CodesignSuite] = {
     "reactive-quick": _suite("B", ("AreaMaximizer-v0",), (0,), _QUICK),
@@ -199,6 +202,7 @@ PRESETS: Mapping[str, CodesignSuite] = {
     "invariant-paper": _suite("C", tuple(PAPER), (0, 1, 2), _PAPER),
     "hundred-bodies-invariant": _suite("C", tuple(PAPER), (0,), _HUNDRED_INVARIANT, ("invariant",)),
     "hundred-bodies-exploring-invariant": _suite("C", tuple(PAPER), (0,), _HUNDRED_EXPLORING, ("invariant",)),
+    "hundred-bodies-long-invariant": _suite("C", tuple(PAPER), (0,), _HUNDRED_LONG, ("invariant",)),
 }
 
 
