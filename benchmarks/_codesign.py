@@ -187,6 +187,11 @@ _HUNDRED_EXPLORING = replace(  # wide exploration at first, and more than their 
 _HUNDRED_LONG = replace(  # the same with more than twice the training
     _HUNDRED_EXPLORING, ppo=_body_budget(400_000, num_worlds=32, initial_std=2.0, eval_interval=20_000)
 )
+_HUNDRED_PRESCRIBED = replace(  # no material to search: all env-steps are for training, and few bodies are dropped early
+    _HUNDRED_EXPLORING,
+    keep=(2 / 3,),
+    ppo=_body_budget(240_000, num_worlds=32, initial_std=2.0, eval_interval=30_000),
+)
 
 PRESETS: Mapping[str, CodesignSuite] = {
     "reactive-quick": _suite("B", ("AreaMaximizer-v0",), (0,), _QUICK),
@@ -203,6 +208,7 @@ PRESETS: Mapping[str, CodesignSuite] = {
     "hundred-bodies-invariant": _suite("C", tuple(PAPER), (0,), _HUNDRED_INVARIANT, ("invariant",)),
     "hundred-bodies-exploring-invariant": _suite("C", tuple(PAPER), (0,), _HUNDRED_EXPLORING, ("invariant",)),
     "hundred-bodies-long-invariant": _suite("C", tuple(PAPER), (0,), _HUNDRED_LONG, ("invariant",)),
+    "hundred-bodies-long-prescribed": _suite("C", tuple(PAPER), (0,), _HUNDRED_PRESCRIBED, ("prescribed",)),
 }
 
 
