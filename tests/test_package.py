@@ -137,7 +137,13 @@ def extra_modules():
 
 
 @pytest.mark.parametrize(
-    "code", [IMPORT_ALL, QUICK_START, LEARN, RENDER], ids=["import", "gymnasium", "learn", "render"]
+    "code",
+    [
+        pytest.param(IMPORT_ALL, id="import"),
+        pytest.param(QUICK_START, id="gymnasium"),
+        pytest.param(LEARN, id="learn", marks=pytest.mark.slow),
+        pytest.param(RENDER, id="render"),
+    ],
 )
 def test_extras_are_optional(code, tmp_path):
     blocked = extra_modules()

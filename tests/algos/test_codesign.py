@@ -169,7 +169,7 @@ def test_the_budget_of_env_steps_ends_a_run():
 
 
 @pytest.mark.parametrize("arm", ["reactive", "invariant"])
-@pytest.mark.parametrize("calls", [1, 5, 9])
+@pytest.mark.parametrize("calls", [pytest.param(1, marks=pytest.mark.slow), 5, pytest.param(9, marks=pytest.mark.slow)])
 def test_a_stopped_run_goes_on_to_the_same_result(arm, calls, tmp_path):
     config = replace(TINY, arm=arm)
     whole, asked = codesign(config), iter(range(10**6))

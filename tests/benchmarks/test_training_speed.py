@@ -134,6 +134,7 @@ def test_comparison_with_the_reference(speed, tiny, fake_evogym, capsys):
     assert row["reference_ppo"]["batch_size"] == 4
 
 
+@pytest.mark.slow
 def test_the_reference_trains_on_the_steps_that_it_counts(speed, tiny, fake_evogym):
     """Whole rollouts of 128 steps; each has 128 gradient steps, of a tenth of a millisecond at the very least."""
     reference = speed.Reference(fake_evogym, replace(tiny, reference_threads=1), speed.as_body("HSH"))
@@ -166,6 +167,7 @@ def test_bad_options_are_refused(speed, changes, message):
         speed.Options(**changes)
 
 
+@pytest.mark.slow
 def test_the_table_names_what_was_measured(speed, tiny, fake_evogym, capsys):
     speed.main(replace(tiny, against_evogym=fake_evogym, pairs=1))
     captured = capsys.readouterr()
