@@ -8,7 +8,8 @@ from evogymcm.algos.memory import keep_freed_memory
 from evogymcm.algos.ppo import PPOConfig, PPOLearner
 from evogymcm.algos.runs import RunFolder, stop_on_interrupt
 from evogymcm.algos.sharing import PerDesign, by_design, by_world, stack_states, take_state
-from evogymcm.algos.training import EnvFactory, Progress, Trainer, TrainResult, train
+from evogymcm.algos.trainer import EnvFactory, Trainer
+from evogymcm.algos.training import Progress, TrainResult, train
 
 __all__ = [
     "Actor",
