@@ -187,12 +187,10 @@ _HUNDRED_EXPLORING = replace(  # wide exploration at first, and more than their 
 _HUNDRED_LONG = replace(  # the same with more than twice the training
     _HUNDRED_EXPLORING, ppo=_body_budget(400_000, num_worlds=32, initial_std=2.0, eval_interval=20_000)
 )
-_HUNDRED_PRESCRIBED = (
-    replace(  # no search: all env-steps train, and few bodies are dropped early
-        _HUNDRED_EXPLORING,
-        keep=(2 / 3,),
-        ppo=_body_budget(240_000, num_worlds=32, initial_std=2.0, eval_interval=30_000),
-    )
+_HUNDRED_PRESCRIBED = replace(  # no search: all env-steps train, and few bodies are dropped early
+    _HUNDRED_EXPLORING,
+    keep=(2 / 3,),
+    ppo=_body_budget(240_000, num_worlds=32, initial_std=2.0, eval_interval=30_000),
 )
 
 PRESETS: Mapping[str, CodesignSuite] = {

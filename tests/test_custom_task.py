@@ -41,7 +41,7 @@ def test_custom_task_reaches_its_goal(example):
     engine.refresh()
     engine.step(np.ones((2, 6)))
     assert engine.terminated.tolist() == [True, False]
-    before, after = engine._before, engine.snapshot
+    before, after = engine._reader.before, engine.snapshot
     expected = after.x - before.x + 3 * (after.y - before.y) + [1.0, 0.0]
     np.testing.assert_allclose(engine.reward, expected, atol=1e-15)
 

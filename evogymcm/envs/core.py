@@ -3,45 +3,33 @@
 Arrays are indexed by world and by cell of the padded grid (V cells, bodies in the upper left corner).
 """
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
-from typing import Any, NamedTuple
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 
 from evogymcm.body import Body
 from evogymcm.envs.designs import MATERIALS, BodySpec, as_bodies, deal_fields, on_grid
-from evogymcm.envs.task import Snapshot, Task, Window
+from evogymcm.envs.reader import Reader, Sensed
+from evogymcm.envs.task import Snapshot, Task
 from evogymcm.envs.tasks import as_task
-from evogymcm.envs.voxels import N_FEATURES, fill_voxels, voxel_template, voxel_types
+from evogymcm.envs.voxels import N_FEATURES, voxel_template, voxel_types
 from evogymcm.sim.constants import (
     ACTUATION_HIGH,
     ACTUATION_LOW,
     H_ACT,
-    MISSING,
     STIFFNESS_HIGH,
     STIFFNESS_LOW,
     V_ACT,
-    VOXEL,
     Physics,
 )
-from evogymcm.sim.lanes import N_LANES
-from evogymcm.sim.readings import N_SUMS, Terrain, new_readings, read_object, read_window
-from evogymcm.sim.simulator import Block, Simulator
+from evogymcm.sim.simulator import Simulator
 from evogymcm.sim.topology import Topology
 from evogymcm.sim.world import ROBOT, World, WorldObject
 
 UNSTABLE_PENALTY = -3.0
 # Arrays that a step can change, besides the simulator and the task's memory.
 _STATE = ("actuation", "stiffness", "reward", "score", "returns", "length", "terminated", "truncated", "unstable")
-
-
-class _Source(NamedTuple):
-    """What the kernels that read a block need besides its state."""
-
-    objects: list[tuple[Any, ...]]  # for `read_object`: the robot, then the watched objects
-    terrains: list[Terrain]  # for `read_window`: of each window
-    cells: tuple[np.ndarray, np.ndarray, int]  # for `fill_voxels`
 
 
 class TaskEngine:
@@ -117,11 +105,7 @@ class TaskEngine:
         self.types = self._per_body(voxel_types)
         self._template = self._per_body(voxel_template) if with_voxels else np.zeros((n, v, N_FEATURES), np.float32)
         self.voxels = self._template.copy()
-        most_points = max(b.scene.objects[0].topology.n_points for b in self.simulator.blocks)
-        windows = ((self.task.floor, False), (self.task.ceiling, True))
-        self._windows = [(window, is_ceiling) for window, is_ceiling in windows if window is not None]
-        self._sources = [self._make_source(block, most_points) for block in self.simulator.blocks]
-        self._now, self._before = self._new_snapshot(most_points), self._new_snapshot(most_points)
+        self._reader = Reader(self.task, self.simulator)
         self.is_uniform = with_flat and len(placed) == 1
 
         self.stiffness = np.ones((n, v)) if self._fields is None else self._fields.copy()
@@ -134,7 +118,7 @@ class TaskEngine:
         self.set_seed(seed)
         self.memory: dict[str, np.ndarray] = {}
         self.reset()
-        ceiling = self.task.score_ceiling(self._now)
+        ceiling = self.task.score_ceiling(self._reader.now)
         self.score_ceiling = np.full(n, np.nan) if ceiling is None else np.array(ceiling)
 
     def _place(self, world: World, body: Body) -> tuple[WorldObject, ...]:
@@ -153,37 +137,6 @@ class TaskEngine:
                 rows[body] = describe(body, block.scene.objects[0].topology, self.grid_shape)
         return np.stack([rows[body] for body in self.bodies])
 
-    def _make_source(self, block: Block, most_points: int) -> _Source:
-        topology = block.scene.objects[0].topology
-        watched = [block.scene.object(name).points for name in self.task.watches]
-        spans = [(0, topology.n_points), *((int(points[0]), int(points[-1]) + 1) for points in watched)]
-        hulls = [self.task.reads_hull, *(False for _ in watched)]
-        scratch = np.zeros((2, 2 * most_points + 2), np.int64), np.zeros((N_SUMS, 1, N_LANES))
-        return _Source(
-            [(block.layout.initial, *span, hull, *scratch) for span, hull in zip(spans, hulls, strict=True)],
-            [self._make_terrain(block, window) for window, _ in self._windows],
-            (topology.cells, topology.corner_points, self.grid_shape[1]),
-        )
-
-    @staticmethod
-    def _make_terrain(block: Block, window: Window) -> Terrain:
-        """Returns what a window sees."""
-        points = np.concatenate([block.scene.object(name).points for name in window.objects])
-        n = block.scene.n_points
-        fixed = block.layout.static_points[points[points >= n] - n] / VOXEL
-        # Fixed corners of soft voxels have lanes, but their place never changes either.
-        return Terrain(fixed[np.argsort(fixed[:, 0], kind="stable")], points[points < n])
-
-    def _new_snapshot(self, n_points: int) -> Snapshot:
-        n, task = self.num_worlds, self.task
-        scene = self.simulator.blocks[0].scene
-        return Snapshot(
-            robot=new_readings(n, n_points),
-            objects={name: new_readings(n, scene.object(name).topology.n_points) for name in task.watches},
-            floor=np.zeros((n, 2 * task.floor.radius + 1)) if task.floor else None,
-            ceiling=np.zeros((n, 2 * task.ceiling.radius + 1)) if task.ceiling else None,
-        )
-
     def reset(self, mask: np.ndarray | None = None) -> None:
         """Starts new episodes in the worlds of the (N,) bool mask, in all by default."""
         chosen = np.ones(self.num_worlds, bool) if mask is None else np.asarray(mask, bool).reshape(self.num_worlds)
@@ -198,6 +151,15 @@ class TaskEngine:
             flags[chosen] = False
         self._renew_voxels(mask)
         self._read(chosen)
+
+    def _sensed(self) -> Sensed | None:
+        return Sensed(self.stiffness, self.actuation, self._template, self.voxels) if self.with_voxels else None
+
+    def _read(self, chosen: np.ndarray) -> None:
+        """Reads the worlds of the mask as they are now."""
+        if self.memory:
+            self._reader.remember(self.memory)
+        self._reader.read(chosen, self._sensed())
 
     def _draw(self, chosen: np.ndarray) -> None:
         """Draws what the episodes of the chosen worlds hold at random, each from its world's own generator."""
@@ -234,11 +196,13 @@ class TaskEngine:
             self.actuation[mask] = given[mask]
             if factors is not None:
                 self.stiffness[mask] = factors[mask]
-        self._now, self._before = self._before, self._now
+        self._reader.turn()
+        if self.memory:
+            self._reader.remember(self.memory)
         self._renew_voxels(mask)
-        unstable = self.simulator.step(self.actuation, factors, mask, self._reader())
+        unstable = self.simulator.step(self.actuation, factors, mask, self._reader.kernel(self._sensed()))
         if mask is not None:
-            self._keep(~mask)
+            self._reader.keep(~mask)
         self._reward(mask, unstable)
 
     def _renew_voxels(self, mask: np.ndarray | None) -> None:
@@ -256,61 +220,20 @@ class TaskEngine:
             raise ValueError(f"{name}: got NaN in world {int(np.isnan(values).any(1).argmax())}")
         return np.clip(values, low, high, out=values)
 
-    def _reader(self) -> Any:
-        """Returns the function that reads a block's worlds, run in the thread that advanced it."""
-        if self.memory:
-            self._now = replace(self._now, memory={name: values.copy() for name, values in self.memory.items()})
-        now, sources, with_voxels, rows = self._now, self._sources, self.with_voxels, (self.num_worlds, -1)
-        objects = [now.robot, *now.objects.values()]
-        windows = [(w.radius, is_ceiling, now.ceiling if is_ceiling else now.floor) for w, is_ceiling in self._windows]
-        template, voxels = self._template.reshape(rows), self.voxels.reshape(rows)
-        sensed = now.robot.numbers, self.stiffness, self.actuation, template, voxels
-
-        def read(block: Block, worlds: np.ndarray) -> None:
-            points, source = block.state.points, sources[block.index]
-            for known, readings in zip(source.objects, objects, strict=True):
-                read_object(points, worlds, *known, *readings)
-            if windows:
-                for terrain, window in zip(source.terrains, windows, strict=True):
-                    read_window(points, worlds, *terrain, now.robot.com, *window)
-            if with_voxels:
-                fill_voxels(points, worlds, *source.cells, *sensed)
-
-        return read
-
-    def _keep(self, kept: np.ndarray) -> None:
-        """Copies the last readings of the worlds that did not take part."""
-
-        def arrays(snapshot: Snapshot) -> Iterator[np.ndarray | None]:
-            for readings in (snapshot.robot, *snapshot.objects.values()):
-                yield from readings
-            yield from (snapshot.floor, snapshot.ceiling)
-
-        for new, old in zip(arrays(self._now), arrays(self._before), strict=True):
-            if new is not None and old is not None:
-                new[kept] = old[kept]
-
-    def _read(self, chosen: np.ndarray) -> None:
-        """Reads the worlds of the mask as they are now."""
-        read = self._reader()
-        for block in self.simulator.blocks:
-            worlds = np.where((block.worlds != MISSING) & chosen[block.worlds], block.worlds, MISSING)
-            if (worlds != MISSING).any():
-                read(block, worlds)
-
     def _reward(self, mask: np.ndarray | None, unstable: np.ndarray) -> None:
         """Rewards and endings of the step, for the worlds of the mask."""
 
         def chosen(new: np.ndarray, old: Any) -> np.ndarray:
             return new if mask is None else np.where(mask, new, old)
 
-        reward = np.asarray(self.task.reward(self._before, self._now), np.float64)
+        before, now = self._reader.before, self._reader.now
+        reward = np.asarray(self.task.reward(before, now), np.float64)
         terminated = unstable.copy()
         reward = reward + np.where(unstable, UNSTABLE_PENALTY, 0.0)
-        for condition, bonus in self.task.endings(self._now):
+        for condition, bonus in self.task.endings(now):
             reward = reward + np.where(condition, bonus, 0.0)
             terminated = terminated | condition
-        for name, values in self.task.remember(self._now).items():
+        for name, values in self.task.remember(now).items():
             rows = True if mask is None else mask.reshape(-1, *([1] * (values.ndim - 1)))
             self.memory[name] = np.where(rows, values, self.memory[name])
         self.length = self.length + (1 if mask is None else mask)
@@ -324,26 +247,26 @@ class TaskEngine:
     @property
     def snapshot(self) -> Snapshot:
         """The present readings. They are overwritten by the step after the next."""
-        return self._now
+        return self._reader.now
 
     @property
     def com(self) -> np.ndarray:
         """(N, 2) the robots' centres of mass, metres."""
-        return self._now.robot.com.copy()
+        return self._reader.now.robot.com.copy()
 
     @property
     def flat(self) -> np.ndarray | None:
         """(N, D) the task's own flat observation (fresh memory), None where bodies differ."""
         if not self.is_uniform:
             return None
-        return np.concatenate(list(self.task.observation(self._now).values()), axis=1)
+        return np.concatenate(list(self.task.observation(self._reader.now).values()), axis=1)
 
     @property
     def features(self) -> np.ndarray:
         """(N, G) global features (fresh memory): COM velocity, sine and cosine of the orientation, the task's parts."""
-        angle = self._now.robot.orientation.copy()  # numpy's sine of a view may round otherwise
-        parts = [self._now.robot.velocity, np.sin(angle)[:, None], np.cos(angle)[:, None]]
-        own = self.task.observation(self._now)
+        angle = self._reader.now.robot.orientation.copy()  # numpy's sine of a view may round otherwise
+        parts = [self._reader.now.robot.velocity, np.sin(angle)[:, None], np.cos(angle)[:, None]]
+        own = self.task.observation(self._reader.now)
         parts += [part for name, part in own.items() if name not in ("velocity", "orientation", "relative")]
         return np.concatenate(parts, axis=1)
 
@@ -364,7 +287,7 @@ class TaskEngine:
         return {name: getattr(self, name).copy() for name in _STATE} | {
             "simulator": self.simulator.state(),
             "memory": {name: values.copy() for name, values in self.memory.items()},
-            "shown": {name: values.copy() for name, values in self._now.memory.items()},
+            "shown": {name: values.copy() for name, values in self._reader.now.memory.items()},
             "rngs": [rng.bit_generator.state for rng in self._rngs] if self.memory else [],
         }
 
@@ -378,7 +301,7 @@ class TaskEngine:
         self.simulator.set_state(state["simulator"])
         self.refresh()
         # The last observation was formed before the task's memory moved on.
-        self._now = replace(self._now, memory={name: np.array(values) for name, values in state["shown"].items()})
+        self._reader.remember(state["shown"])
 
     def refresh(self) -> None:
         """Reads all worlds anew, after the simulator's state was changed from outside."""

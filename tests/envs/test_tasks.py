@@ -144,7 +144,7 @@ def test_area_reward_telescopes(task, gain):
     step_randomly(engine, 25)
     ceiling = make_engine("AreaMinimizer-v0", PAPER_ROBOTS[task]).score_ceiling[0]
     assert not engine.terminated[0]
-    area = engine._now.robot.hull_area[0]
+    area = engine.snapshot.robot.hull_area[0]
     np.testing.assert_allclose(engine.returns[0], gain * (area - ceiling / 10), rtol=0, atol=1e-12)
 
 
