@@ -27,6 +27,7 @@ from pathlib import Path
 from typing import Any
 
 import _codesign
+import _codesign_report
 import _report
 import tyro
 from _codesign import CodesignJob, CodesignSuite
@@ -50,8 +51,8 @@ class Options:
             initial_std 4). B and C: reactive-... and invariant-quick (1 task, minutes), -small (2 tasks, 3 seeds),
             -medium (the same, hours) and -paper (6 tasks, 100 bodies of 1,000,000 env-steps a run: days), -shortcuts
             (as -small, with policy inheritance and successive halving, see steps_to_reach.py). hundred-bodies-reactive,
-            -invariant, -exploring-invariant: one arm with as many bodies as published genetic algorithms train, 6
-            tasks, hours.
+            -invariant, -exploring-invariant, -deep-invariant, -long-prescribed: one arm with as many bodies as
+            published genetic algorithms train, 6 tasks, hours.
         tasks: tasks instead of the preset's.
         arms: "control-only", "co-optimisation" or both, instead of the preset's; in B "fixed", "reactive", in C
             "prescribed", "invariant".
@@ -219,7 +220,7 @@ def main(options: Options) -> int:
     )
     start = time.perf_counter()
     runs = run_all(suite, folder, processes, options.resume)
-    report = _report if isinstance(suite, Suite) else _codesign
+    report = _report if isinstance(suite, Suite) else _codesign_report
     rows = report.summarise(runs)
     run.write_json(
         "results.json",
@@ -238,7 +239,7 @@ def main(options: Options) -> int:
     if runs:
         _try_to_plot(report.plot, runs, folder / "curves.png")
         if isinstance(suite, CodesignSuite):
-            _try_to_plot(_codesign.draw_designs, runs, folder / "designs.png")
+            _try_to_plot(_codesign_report.draw_designs, runs, folder / "designs.png")
     print(report.table(rows))
     print(f"Results: {folder.resolve()}")
     is_complete = len(runs) == len(suite.jobs()) and all(record["finished"] for record in runs)

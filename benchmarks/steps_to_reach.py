@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from _codesign import best_at
+from _codesign_report import best_at
 from _text import aligned
 
 Run = Mapping[str, Any]

@@ -19,6 +19,12 @@ def suite(monkeypatch):
     return importlib.import_module("_codesign")
 
 
+@pytest.fixture
+def report(monkeypatch):
+    monkeypatch.syspath_prepend(BENCHMARKS)
+    return importlib.import_module("_codesign_report")
+
+
 def record(arm, seed, points):
     body = {"body": "HV/SR", "connections": None, "stiffness": [[0.5, 1.0], [2.0, 1.5]], "fitness": points[-1][1]}
     return {"task": "Walker-v0", "arm": arm, "seed": seed, "bodies": 4, "curve": points, "best": body}
@@ -45,10 +51,10 @@ def test_the_cost_of_a_preset_counts_env_steps_of_all_kinds(suite):
     assert suite.PRESETS["reactive-small"].steps_per_run == 600_000
 
 
-def test_returns_stand_beside_published_ones_where_as_many_bodies_were_trained(suite):
+def test_returns_stand_beside_published_ones_where_as_many_bodies_were_trained(report):
     few = record("fixed", 0, [[100, 1.0], [200, 3.0]]) | {"best_return": 4.25}
-    assert "published" not in suite.table(suite.summarise([few]))
-    shown = suite.table(suite.summarise([few | {"bodies": 100}]))
+    assert "published" not in report.table(report.summarise([few]))
+    shown = report.table(report.summarise([few | {"bodies": 100}]))
     assert shown.splitlines()[1].split()[-4:] == ["3.00", "200", "4.25", "10.55"]
 
 
@@ -61,37 +67,37 @@ def test_wrong_arms_and_tasks_are_refused(suite):
         replace(suite.PRESETS["reactive-quick"], experiment="D")
 
 
-def test_runs_are_compared_where_the_shortest_ends(suite):
+def test_runs_are_compared_where_the_shortest_ends(report):
     points = [[100, 1.0], [200, 3.0], [400, 7.0]]
-    assert suite.best_at(points, [100, 199, 200, 1000]).tolist() == [1.0, 1.0, 3.0, 7.0]
-    assert np.isnan(suite.best_at(points, [99])[0])
+    assert report.best_at(points, [100, 199, 200, 1000]).tolist() == [1.0, 1.0, 3.0, 7.0]
+    assert np.isnan(report.best_at(points, [99])[0])
     runs = [record("fixed", 0, points), record("fixed", 1, [[150, 2.0], [300, 4.0]])]
     runs.append(record("reactive", 0, [[120, 5.0], [350, 6.0]]))
-    fixed, reactive = suite.summarise(runs)
+    fixed, reactive = report.summarise(runs)
     assert (fixed["scores"], fixed["env_steps"]) == ([3.0, 4.0], 300)
     assert (fixed["mean"], reactive["mean"]) == (3.5, 5.0)
     assert (fixed["ends"], fixed["end_steps"], reactive["ends"]) == ([7.0, 4.0], 350, [6.0])
-    shown = suite.table([fixed, reactive])
+    shown = report.table([fixed, reactive])
     assert "3.50 (0.71)" in shown
     assert "7.00 4.00" in shown
 
 
-def test_figures(suite, tmp_path):
+def test_figures(report, tmp_path):
     pytest.importorskip("matplotlib")
     runs = [record(arm, seed, [[100, 1.0], [200, 2.0 + seed]]) for arm in ("fixed", "reactive") for seed in range(2)]
-    suite.plot(runs, tmp_path / "curves.png")
-    suite.draw_designs(runs, tmp_path / "designs.png")
+    report.plot(runs, tmp_path / "curves.png")
+    report.draw_designs(runs, tmp_path / "designs.png")
     assert min((tmp_path / name).stat().st_size for name in ("curves.png", "designs.png")) > 5000
 
 
-def test_runs_stopped_before_their_first_score_are_left_out(suite, tmp_path):
+def test_runs_stopped_before_their_first_score_are_left_out(report, tmp_path):
     pytest.importorskip("matplotlib")
     early = record("fixed", 0, [[100, 1.0]]) | {"best": None, "curve": []}
-    suite.plot([early], tmp_path / "curves.png")
-    suite.draw_designs([early], tmp_path / "designs.png")
+    report.plot([early], tmp_path / "curves.png")
+    report.draw_designs([early], tmp_path / "designs.png")
     assert not list(tmp_path.iterdir())
-    assert suite.summarise([early]) == []
-    suite.plot([early, record("fixed", 1, [[100, 1.0], [200, 2.0]])], tmp_path / "curves.png")
+    assert report.summarise([early]) == []
+    report.plot([early, record("fixed", 1, [[100, 1.0], [200, 2.0]])], tmp_path / "curves.png")
     assert (tmp_path / "curves.png").exists()
 
 

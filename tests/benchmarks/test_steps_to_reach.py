@@ -15,7 +15,7 @@ def script(monkeypatch):
     import steps_to_reach
 
     yield steps_to_reach
-    for name in ("steps_to_reach", "_codesign", "_suite", "_signals"):
+    for name in ("steps_to_reach", "_codesign_report", "_codesign", "_suite", "_signals"):
         sys.modules.pop(name, None)
 
 
