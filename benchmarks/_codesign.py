@@ -168,17 +168,13 @@ _HUNDRED_EXPLORING = replace(  # wide exploration at first, and more than their 
     finetune_steps=10_000,
     ppo=_body_budget(160_000, num_worlds=32, initial_std=2.0),
 )
-_HUNDRED_FREQUENT = replace(  # many evaluations and candidates, for chaotic tasks: scores of neighbours differ much
+_HUNDRED_PATIENT = replace(  # long horizons and lasting exploration: what pays in the end may cost at first
     _HUNDRED_EXPLORING,
+    population=16,
+    inherit_std=1.5,
     rungs=(0.4,),
     keep=(0.5,),
-    search=SearchConfig(rounds=4, candidates=16),
-    ppo=_body_budget(160_000, num_worlds=32, initial_std=2.0, eval_interval=2_048),
-)
-_HUNDRED_PRESCRIBED = replace(  # no search: all env-steps train, and few bodies are dropped early
-    _HUNDRED_EXPLORING,
-    keep=(2 / 3,),
-    ppo=_body_budget(240_000, num_worlds=32, initial_std=2.0, eval_interval=30_000),
+    ppo=_body_budget(160_000, num_worlds=32, gamma=0.999, initial_std=2.0, final_std=0.6),
 )
 
 PRESETS: Mapping[str, CodesignSuite] = {
@@ -195,6 +191,5 @@ PRESETS: Mapping[str, CodesignSuite] = {
     "invariant-paper": _suite("C", tuple(PAPER), (0, 1, 2), _PAPER),
     "hundred-bodies-invariant": _suite("C", tuple(PAPER), (0,), _HUNDRED_INVARIANT, ("invariant",)),
     "hundred-bodies-exploring-invariant": _suite("C", tuple(PAPER), (0,), _HUNDRED_EXPLORING, ("invariant",)),
-    "hundred-bodies-frequent-invariant": _suite("C", tuple(PAPER), (0,), _HUNDRED_FREQUENT, ("invariant",)),
-    "hundred-bodies-long-prescribed": _suite("C", tuple(PAPER), (0,), _HUNDRED_PRESCRIBED, ("prescribed",)),
+    "hundred-bodies-patient-prescribed": _suite("C", tuple(PAPER), (0,), _HUNDRED_PATIENT, ("prescribed",)),
 }
