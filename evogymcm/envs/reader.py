@@ -67,7 +67,8 @@ class Reader:
         return _Source(
             [(block.layout.initial, *span, hull, *scratch) for span, hull in zip(spans, hulls, strict=True)],
             [self._make_terrain(block, window) for window, _ in self._windows],
-            (topology.cells, topology.corner_points, self._simulator.grid_shape[1]),
+            # Copies, since arrays that are read-only here are not so in a copied engine: that needs kernels of its own.
+            (topology.cells.copy(), topology.corner_points.copy(), self._simulator.grid_shape[1]),
         )
 
     @staticmethod

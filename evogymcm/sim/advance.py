@@ -67,6 +67,16 @@ def new_state(layout: Layout) -> State:
     return state
 
 
+def laid_out(state: State) -> State:
+    """Returns the state with its tables in memory as `new_state` lays them out, which a copy of an array loses."""
+    names = ("points", "saved", "springs")
+    tables = {name: lanes.new_table(*getattr(state, name).shape[:2]) for name in names}
+    fresh = state._replace(**tables, boxes=lanes.aligned_zeros(*state.boxes.shape))
+    for name in (*names, "boxes"):
+        getattr(fresh, name)[...] = getattr(state, name)
+    return fresh
+
+
 def reset_lanes(layout: Layout, state: State, chosen: np.ndarray) -> None:
     """Puts the lanes of the (8,) bool mask back to their initial positions, at rest."""
     start = layout.initial.T[:, :, None]

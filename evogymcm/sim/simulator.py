@@ -3,14 +3,14 @@
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import count
 from typing import Any
 
 import numpy as np
 
 from evogymcm.sim._jit import announce_compilation
-from evogymcm.sim.advance import State, advance, new_state, reset_lanes, set_constants
+from evogymcm.sim.advance import State, advance, laid_out, new_state, reset_lanes, set_constants
 from evogymcm.sim.constants import MISSING, SUBSTEPS, Physics
 from evogymcm.sim.lanes import N_LANES
 from evogymcm.sim.scene import Layout, Scene, build_scene
@@ -240,6 +240,11 @@ class Simulator:
 
     def __getstate__(self) -> dict[str, Any]:
         return self.__dict__ | {"_pool": None}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Lays the tables out as in a new simulator: copied arrays would need kernels of their own, and slower ones."""
+        self.__dict__.update(state)
+        self.blocks = [replace(block, state=laid_out(block.state)) for block in self.blocks]
 
 
 __all__ = ["Block", "Objects", "Simulator"]

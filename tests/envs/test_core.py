@@ -1,13 +1,16 @@
 """The task engine: batches, threads, masks, states, voxel features and errors."""
 
+import copy
 import pickle
 
 import numpy as np
 import pytest
 
 import evogymcm as cm
-from evogymcm.envs.voxels import ACTUATION, N_FEATURES, PLACE, POSITIONS, STIFFNESS, VELOCITIES
+from evogymcm.envs.voxels import ACTUATION, N_FEATURES, PLACE, POSITIONS, STIFFNESS, VELOCITIES, fill_voxels
+from evogymcm.sim.advance import advance
 from evogymcm.sim.constants import Physics
+from evogymcm.sim.readings import read_object, read_window
 from tests.envs.tools import (
     PAPER_ROBOTS,
     PAPER_TASKS,
@@ -146,6 +149,19 @@ def test_state_forks_and_replays(material):
         assert_same(c, a)
 
 
+@pytest.mark.skipif(not hasattr(advance, "signatures"), reason="kernels run as plain Python")
+@pytest.mark.parametrize("renew", [copy.deepcopy, lambda engine: pickle.loads(pickle.dumps(engine))])
+def test_copies_go_on_exactly_with_the_kernels_that_there_are(renew):
+    kernels = (advance, read_object, read_window, fill_voxels)
+    engine = make_engine("BridgeWalker-v0", ["Bridge_Bot", WIDE], 10, material="reactive")
+    actions = random_actions(engine, 10)
+    run(engine, actions, range(5))
+    twin, compiled = renew(engine), [len(kernel.signatures) for kernel in kernels]
+    for a, b in zip(*(run(one, actions, range(5, 10)) for one in (engine, twin)), strict=True):
+        assert_same(a, b)
+    assert [len(kernel.signatures) for kernel in kernels] == compiled
+
+
 def test_reset_forgets_everything():
     engine = make_engine("Walker-v0", "Walk_Bot", 3, material="reactive")
     actions = random_actions(engine, 5)
@@ -218,8 +234,8 @@ def test_voxel_features_against_slow_twin(material):
 def test_voxels_do_not_depend_on_what_their_memory_held(monkeypatch):
     engine = make_engine("Walker-v0", [SMALL, WIDE], 3)
     monkeypatch.setattr(np, "empty_like", lambda like: np.full_like(like, np.nan))
-    for advance in (lambda: step_randomly(engine, 1), engine.reset, engine.refresh):
-        advance()
+    for act in (lambda: step_randomly(engine, 1), engine.reset, engine.refresh):
+        act()
         assert np.isfinite(engine.voxels).all()
         assert (engine.voxels[~engine.occupancy] == 0).all()
 
