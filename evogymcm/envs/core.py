@@ -10,7 +10,7 @@ import numpy as np
 
 from evogymcm.body import Body
 from evogymcm.envs.designs import MATERIALS, BodySpec, as_bodies, deal_fields, on_grid
-from evogymcm.envs.reader import Reader, Sensed
+from evogymcm.envs.reader import BlockReader, Reader, Sensed
 from evogymcm.envs.task import Snapshot, Task
 from evogymcm.envs.tasks import as_task
 from evogymcm.envs.voxels import N_FEATURES, voxel_template, voxel_types
@@ -150,16 +150,13 @@ class TaskEngine:
         for flags in (self.terminated, self.truncated, self.unstable):
             flags[chosen] = False
         self._renew_voxels(mask)
-        self._read(chosen)
+        self._reader.read(chosen, self._block_reader())
 
-    def _sensed(self) -> Sensed | None:
-        return Sensed(self.stiffness, self.actuation, self._template, self.voxels) if self.with_voxels else None
-
-    def _read(self, chosen: np.ndarray) -> None:
-        """Reads the worlds of the mask as they are now."""
-        if self.memory:
-            self._reader.remember(self.memory)
-        self._reader.read(chosen, self._sensed())
+    def _block_reader(self) -> BlockReader:
+        """Returns what reads a block into the present snapshot, which takes up the task's memory."""
+        self._reader.remember(self.memory)
+        sensed = Sensed(self.stiffness, self.actuation, self._template, self.voxels) if self.with_voxels else None
+        return self._reader.block_reader(sensed)
 
     def _draw(self, chosen: np.ndarray) -> None:
         """Draws what the episodes of the chosen worlds hold at random, each from its world's own generator."""
@@ -197,10 +194,8 @@ class TaskEngine:
             if factors is not None:
                 self.stiffness[mask] = factors[mask]
         self._reader.turn()
-        if self.memory:
-            self._reader.remember(self.memory)
         self._renew_voxels(mask)
-        unstable = self.simulator.step(self.actuation, factors, mask, self._reader.kernel(self._sensed()))
+        unstable = self.simulator.step(self.actuation, factors, mask, self._block_reader())
         if mask is not None:
             self._reader.keep(~mask)
         self._reward(mask, unstable)
@@ -306,4 +301,4 @@ class TaskEngine:
     def refresh(self) -> None:
         """Reads all worlds anew, after the simulator's state was changed from outside."""
         self._renew_voxels(None)
-        self._read(np.ones(self.num_worlds, bool))
+        self._reader.read(np.ones(self.num_worlds, bool), self._block_reader())

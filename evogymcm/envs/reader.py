@@ -13,6 +13,8 @@ from evogymcm.sim.lanes import N_LANES
 from evogymcm.sim.readings import N_SUMS, Terrain, new_readings, read_object, read_window
 from evogymcm.sim.simulator import Block, Simulator
 
+BlockReader = Callable[[Block, np.ndarray], None]  # a block and its (8,) worlds, MISSING for those not to be read
+
 
 class Sensed(NamedTuple):
     """What the observations of voxels are formed of, besides the points, and where they go.
@@ -98,7 +100,7 @@ class Reader:
         """Puts copies of the task's memory into the present snapshot."""
         self.now = replace(self.now, memory={name: np.array(values) for name, values in memory.items()})
 
-    def kernel(self, sensed: Sensed | None) -> Callable[[Block, np.ndarray], None]:
+    def block_reader(self, sensed: Sensed | None) -> BlockReader:
         """Returns the function that reads a block's worlds, to be run in the thread that advanced them.
 
         Without `sensed` it leaves voxels out.
@@ -122,13 +124,12 @@ class Reader:
 
         return read
 
-    def read(self, chosen: np.ndarray, sensed: Sensed | None) -> None:
+    def read(self, chosen: np.ndarray, read_block: BlockReader) -> None:
         """Reads the worlds of the (N,) mask as they are now."""
-        kernel = self.kernel(sensed)
         for block in self._simulator.blocks:
             worlds = np.where((block.worlds != MISSING) & chosen[block.worlds], block.worlds, MISSING)
             if (worlds != MISSING).any():
-                kernel(block, worlds)
+                read_block(block, worlds)
 
     def keep(self, kept: np.ndarray) -> None:
         """Copies the readings before into the present ones, for the worlds of the (N,) mask."""
