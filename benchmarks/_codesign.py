@@ -168,6 +168,7 @@ _HUNDRED_EXPLORING = replace(  # wide exploration at first, and more than their 
     finetune_steps=10_000,
     ppo=_body_budget(160_000, num_worlds=32, initial_std=2.0),
 )
+_HUNDRED_SCREENING = replace(_HUNDRED_EXPLORING, mutants=64)  # children are chosen by their parent's policy
 _HUNDRED_PATIENT = replace(  # long horizons and lasting exploration: what pays in the end may cost at first
     _HUNDRED_EXPLORING,
     population=16,
@@ -191,5 +192,6 @@ PRESETS: Mapping[str, CodesignSuite] = {
     "invariant-paper": _suite("C", tuple(PAPER), (0, 1, 2), _PAPER),
     "hundred-bodies-invariant": _suite("C", tuple(PAPER), (0,), _HUNDRED_INVARIANT, ("invariant",)),
     "hundred-bodies-exploring-invariant": _suite("C", tuple(PAPER), (0,), _HUNDRED_EXPLORING, ("invariant",)),
+    "hundred-bodies-screening-invariant": _suite("C", tuple(PAPER), (0,), _HUNDRED_SCREENING, ("invariant",)),
     "hundred-bodies-patient-prescribed": _suite("C", tuple(PAPER), (0,), _HUNDRED_PATIENT, ("prescribed",)),
 }

@@ -43,6 +43,7 @@ __all__ = [
     "Body",
     "as_body",
     "check_stiffness",
+    "check_weights",
     "full_connections",
     "has_actuator",
     "is_connected",
@@ -236,7 +237,13 @@ def sample_body(shape: tuple[int, int], rng: np.random.Generator, weights: Seque
     raise ValueError(f"weights {tuple(weights)}: none of {_MAX_DRAWS} draws of shape {shape} was a valid body")
 
 
-def mutate_body(body: Body, rng: np.random.Generator, rate: float = 0.1, attempts: int = 50) -> Body | None:
+def mutate_body(
+    body: Body,
+    rng: np.random.Generator,
+    rate: float = 0.1,
+    attempts: int = 50,
+    weights: Sequence[float] = SAMPLE_WEIGHTS,
+) -> Body | None:
     """Returns a mutated body with full connections, or None where no attempt was valid (EvoGym).
 
     Each attempt draws each cell anew with probability `rate`, possibly to the value that it had. Attempts
@@ -247,13 +254,14 @@ def mutate_body(body: Body, rng: np.random.Generator, rate: float = 0.1, attempt
         rng: Source of randomness.
         rate: Probability that a cell is drawn anew in an attempt.
         attempts: Largest number of attempts.
+        weights: Relative frequencies of the codes 0 to 4 among cells drawn anew.
 
     Raises:
-        ValueError: The rate is not a probability, or there is no attempt.
+        ValueError: The rate is not a probability, there is no attempt, or the weights are none of `sample_body`.
     """
     if not 0.0 <= rate <= 1.0 or attempts < 1:
         raise ValueError(f"got rate={rate}, attempts={attempts}; expected a rate from 0 to 1, at least 1 attempt")
-    thresholds = _thresholds(SAMPLE_WEIGHTS)
+    thresholds = _thresholds(weights)
     grid = body.grid
     for _ in range(attempts):
         is_redrawn = rng.random(body.shape) < rate
@@ -267,14 +275,23 @@ def _is_valid(grid: Grid) -> bool:
     return has_actuator(grid) and is_connected(grid)
 
 
-def _thresholds(weights: Sequence[float]) -> NDArray[np.float64]:
-    """Returns the cumulated probabilities of the five body codes."""
+def check_weights(weights: Sequence[float]) -> tuple[float, ...]:
+    """Returns the relative frequencies of the codes 0 to 4 in random cells.
+
+    Raises:
+        ValueError: They are not five numbers >= 0 with one above 0 for an actuator.
+    """
     values = np.asarray(weights, dtype=np.float64)
     if values.shape != (5,) or not np.all(np.isfinite(values) & (values >= 0.0)):
         raise ValueError(f"weights: got {weights}, expected five finite numbers >= 0")
     if not values[[H_ACT, V_ACT]].any():
         raise ValueError(f"weights: got {weights}, expected one of the last two (the actuators) above 0")
-    cumulated = np.cumsum(values)
+    return tuple(values.tolist())
+
+
+def _thresholds(weights: Sequence[float]) -> NDArray[np.float64]:
+    """Returns the cumulated probabilities of the five body codes."""
+    cumulated = np.cumsum(check_weights(weights))
     return cumulated / cumulated[-1]
 
 

@@ -1,6 +1,6 @@
 """MAP-Elites (Mouret and Clune, 2015) over designs, with the archive of pyribs (Tjanaka et al., 2023)."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from math import log
 from typing import Any
@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from evogymcm.algos.design_search import DesignSearch
 from evogymcm.algos.designs import Design, Individual, check_mutation, mutate_design
 from evogymcm.algos.stiffness_proposals import perturb_stiffness
-from evogymcm.body import STIFFNESS_HIGH, STIFFNESS_LOW
+from evogymcm.body import SAMPLE_WEIGHTS, STIFFNESS_HIGH, STIFFNESS_LOW
 
 __all__ = ["MapElites", "design_measures"]
 
@@ -45,6 +45,7 @@ class MapElites(DesignSearch):
         carries_stiffness: whether stiffness belongs to the design (the invariant setting).
         probability: of a voxel's stiffness to change in a mutant.
         sigma: standard deviation of that change, in the logarithm.
+        weights: see `DesignSearch`.
 
     Attributes:
         archive: the `ribs.archives.GridArchive`, for its statistics and plots; its solutions are indices.
@@ -68,6 +69,7 @@ class MapElites(DesignSearch):
         carries_stiffness: bool = True,
         probability: float = 0.15,
         sigma: float = 0.2,
+        weights: Sequence[float] = SAMPLE_WEIGHTS,
     ) -> None:
         try:
             from ribs.archives import GridArchive
@@ -88,7 +90,9 @@ class MapElites(DesignSearch):
             "probability": probability,
             "sigma": sigma,
         }
-        super().__init__(shape, budget, seed=seed, carries_stiffness=carries_stiffness, settings=settings)
+        super().__init__(
+            shape, budget, seed=seed, carries_stiffness=carries_stiffness, settings=settings, weights=weights
+        )
         self.batch, self.initial = batch, initial
         self.mutation_rate, self.attempts = mutation_rate, attempts
         self.probability, self.sigma = probability, sigma
@@ -129,7 +133,7 @@ class MapElites(DesignSearch):
     def _child(self, parents: list[Individual]) -> tuple[Design | None, int]:
         """A mutant of one of the parents, for `_fill`."""
         parent = parents[self._rng.integers(len(parents))]
-        child = mutate_design(parent.design, self._rng, self.mutation_rate, self.attempts)
+        child = mutate_design(parent.design, self._rng, self.mutation_rate, self.attempts, self.weights)
         if child is not None and self.carries_stiffness:
             child = replace(child, stiffness=perturb_stiffness(child, self._rng, self.probability, self.sigma))
         return child, parent.index

@@ -15,7 +15,16 @@ import numpy as np
 
 from evogymcm.algos.codesign_config import ARMS, CodesignConfig, SearchConfig
 from evogymcm.algos.design_search import Design, Individual
-from evogymcm.algos.generation import Policy, Trained, exploring, score_alone, score_proposals, train_designs
+from evogymcm.algos.evolution import GeneticAlgorithm
+from evogymcm.algos.generation import (
+    Policy,
+    Trained,
+    exploring,
+    score_alone,
+    score_mutants,
+    score_proposals,
+    train_designs,
+)
 from evogymcm.algos.material_search import MaterialSearch
 from evogymcm.algos.ppo import PPOConfig
 from evogymcm.algos.runs import RunFolder, stop_on_interrupt
@@ -23,6 +32,7 @@ from evogymcm.algos.runs import RunFolder, stop_on_interrupt
 __all__ = ["ARMS", "Codesign", "CodesignConfig", "CodesignProgress", "CodesignResult", "SearchConfig", "codesign"]
 
 _STATE = "codesign"
+_SCREENED = 8  # mutants of a child that are played at a time, between looks whether to stop
 
 
 @dataclass(frozen=True)
@@ -31,7 +41,7 @@ class CodesignProgress:
 
     Attributes:
         generation: counted from 0.
-        phase: "train", "search" or "finetune".
+        phase: "screen", "train", "search" or "finetune".
         env_steps: simulated so far, of all kinds.
         n_designs: bodies proposed so far.
         best: the best fitness so far, None before there is one.
@@ -93,7 +103,7 @@ class Codesign:
     @property
     def is_finished(self) -> bool:
         """Whether a budget is used and all phases of the last generation are done."""
-        if self.phase != "train":
+        if self.phase != self._first_phase:
             return False
         limit = self.config.max_env_steps
         return self.search.is_finished or (limit is not None and self.env_steps >= limit)
@@ -105,7 +115,13 @@ class Codesign:
     ) -> bool:
         """Does the next phase; returns False where it was stopped on the way, to be gone on with later."""
         self._tell, self._is_stopped = progress or self._tell, should_stop or self._is_stopped
-        done = {"train": self._train, "search": self._search_materials, "finetune": self._finetune}[self.phase]()
+        phases = {
+            "screen": self._screen,
+            "train": self._train,
+            "search": self._search_materials,
+            "finetune": self._finetune,
+        }
+        done = phases[self.phase]()
         if done:
             kept = {individual.index for individual in self.search.survivors}
             self.policies = {index: policy for index, policy in self.policies.items() if index in kept}
@@ -115,6 +131,11 @@ class Codesign:
                 for checkpoint in self.run.path.glob("generation-*/*.pt"):
                     checkpoint.unlink()  # their policies are kept; the learning curves stay
         return done
+
+    @property
+    def _first_phase(self) -> str:
+        """Of the next generation; the first one has no parents whose mutants could be screened."""
+        return "screen" if self.config.mutants > 1 and self.search.generation else "train"
 
     def _report(self, steps: int = 0) -> None:
         best = None if self.champion is None else self.champion[0].fitness
@@ -145,6 +166,25 @@ class Codesign:
             progress=lambda state: self._report(spent + state.env_steps),
             should_stop=self._is_stopped,
         )
+
+    def _screen(self) -> bool:
+        """Plays mutants under their parents' controllers, and takes the best of each child."""
+        assert isinstance(self.search, GeneticAlgorithm)
+        mutants = self.search.mutants(self.config.mutants)
+        policies = [self.policies[index] for group in mutants if (index := group[0].parent) is not None]
+        designs = [[self._design(individual) for individual in group] for group in mutants]
+        scores, steps = [], 0
+        for begin in range(0, self.config.mutants, _SCREENED):
+            if self._is_stopped():
+                return False  # no more than a screening is lost
+            some, spent = score_mutants(self.arena, [group[begin : begin + _SCREENED] for group in designs], policies)
+            scores.append(some)
+            steps += spent
+            self._report(steps)
+        self.search.choose(np.concatenate(scores, axis=1))
+        self.env_steps += steps
+        self.phase = "train"
+        return True
 
     def _train(self) -> bool:
         """Trains the generation's new bodies, with successive halving where there are rungs."""
@@ -181,7 +221,7 @@ class Codesign:
             self.policies[individual.index] = policies[i]
             self.returns[individual.index] = float(alone.returns[i])
             self._record("train", replace(individual, fitness=float(alone.score[i])), generation)
-        self.phase = "search" if self.config.arm == "invariant" and self.search.survivors else "train"
+        self.phase = "search" if self.config.arm == "invariant" and self.search.survivors else self._first_phase
         return True
 
     def _search_materials(self) -> bool:
@@ -222,7 +262,7 @@ class Codesign:
                 self.policies[individual.index], self.returns[individual.index] = policy, float(total)
                 self.search.update(individual.index, fitness=float(score))
         self._record_survivors("finetune")
-        self.phase = "train"
+        self.phase = self._first_phase
         return True
 
     def _record_survivors(self, event: str) -> None:

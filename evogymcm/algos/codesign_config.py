@@ -10,7 +10,7 @@ from evogymcm.algos.design_search import DesignSearch
 from evogymcm.algos.evolution import GeneticAlgorithm, HalvingSchedule, RandomSearch
 from evogymcm.algos.generation import Arena
 from evogymcm.algos.ppo import PPOConfig
-from evogymcm.body import STIFFNESS_HIGH, STIFFNESS_LOW
+from evogymcm.body import SAMPLE_WEIGHTS, STIFFNESS_HIGH, STIFFNESS_LOW
 
 __all__ = ["ARMS", "METHODS", "CodesignConfig", "SearchConfig"]
 
@@ -61,6 +61,10 @@ class CodesignConfig:
             None for no limit but the budget.
         mutation_rate: probability that a cell of a child is drawn anew.
         attempts: at a valid mutant, before another parent is drawn.
+        weights: relative frequencies of empty, rigid, soft, horizontal and vertical cells in random bodies and in cells
+            drawn anew (EvoGym's by default).
+        mutants: of a parent for each child, played once under the parent's controller; the best of them is trained. 1
+            takes the first, as EvoGym does; more need `inherit`, and the genetic algorithm.
         inherit: whether a child starts from its parent's controller instead of a fresh one.
         inherit_std: standard deviation with which an inherited controller explores at first, in half ranges of the
             action; None for its own, which its parent's training has lowered.
@@ -86,6 +90,8 @@ class CodesignConfig:
     max_env_steps: int | None = None
     mutation_rate: float = 0.1
     attempts: int = 50
+    weights: tuple[float, ...] = SAMPLE_WEIGHTS
+    mutants: int = 1
     inherit: bool = False
     inherit_std: float | None = None
     rungs: tuple[float, ...] = ()
@@ -119,6 +125,11 @@ class CodesignConfig:
             raise ValueError(f"finetune_steps: got {self.finetune_steps}, must be positive")
         if self.inherit_std is not None and not (self.inherit and 0.0 < self.inherit_std < np.inf):
             raise ValueError(f"inherit_std: got {self.inherit_std}, must be positive, and inherit must be on")
+        if self.mutants < 1 or (self.mutants > 1 and not (self.inherit and self.method == "ga")):
+            raise ValueError(
+                f"mutants: got {self.mutants}, must be at least 1; more need inherit and method 'ga', "
+                f"got inherit={self.inherit}, method={self.method!r}"
+            )
         if self.ppo.network != "voxel":
             raise ValueError(f"ppo.network: got {self.ppo.network!r}, bodies differ, so it must be 'voxel'")
         self.halving()
@@ -131,12 +142,13 @@ class CodesignConfig:
     def make_search(self) -> DesignSearch:
         """Returns the optimiser over designs, before its first generation."""
         if self.method == "random":
-            return RandomSearch(self.shape, self.budget, self.population, self.seed)
+            return RandomSearch(self.shape, self.budget, self.population, self.seed, self.weights)
         options: dict[str, Any] = {
             "seed": self.seed,
             "mutation_rate": self.mutation_rate,
             "attempts": self.attempts,
             "carries_stiffness": self.arm == "invariant",
+            "weights": self.weights,
         }
         if self.method == "qd":
             from evogymcm.algos.archive import MapElites

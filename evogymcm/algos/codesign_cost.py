@@ -19,19 +19,21 @@ class Cost:
     Attributes:
         training: of new bodies.
         scoring: evaluations of all kinds.
+        screening: of mutants, of which few are trained.
         search: of stiffness fields.
         finetuning: of survivors.
     """
 
     training: int
     scoring: int
+    screening: int
     search: int
     finetuning: int
 
     @property
     def total(self) -> int:
         """All of them."""
-        return self.training + self.scoring + self.search + self.finetuning
+        return self.training + self.scoring + self.screening + self.search + self.finetuning
 
 
 def _generations(config: CodesignConfig) -> Iterator[tuple[int, int]]:
@@ -58,9 +60,11 @@ def cost_of(config: CodesignConfig) -> Cost:
     """Returns what a run takes where no episode ends before its time limit and no max_env_steps ends the run."""
     limit = tasks[config.task].time_limit
     halving = config.halving()
-    training = scoring = search = finetuning = 0
-    for new, survivors in _generations(config):
+    training = scoring = screening = search = finetuning = 0
+    for generation, (new, survivors) in enumerate(_generations(config)):
         going = new
+        if config.mutants > 1 and generation:
+            screening += new * config.mutants * limit
         scoring += new * limit
         for rung, (begin, end) in enumerate(pairwise((0.0, *halving.rungs, 1.0))):
             share = replace(config.ppo, total_steps=max(1, round(config.ppo.total_steps * (end - begin))))
@@ -72,4 +76,4 @@ def cost_of(config: CodesignConfig) -> Cost:
             search += config.search.rounds * (config.search.candidates + 1) * survivors * limit
             steps, evaluations = _training(config.finetuning(), survivors, limit)
             finetuning, scoring = finetuning + steps, scoring + evaluations + survivors * limit
-    return Cost(training, scoring, search, finetuning)
+    return Cost(training, scoring, screening, search, finetuning)

@@ -1,7 +1,7 @@
 """The ask/tell protocol of everything that searches over bodies. Knows no simulator."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from math import isfinite
 from typing import Any
@@ -10,10 +10,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from evogymcm.algos.designs import Design, Individual
-from evogymcm.body import sample_body
+from evogymcm.body import SAMPLE_WEIGHTS, check_weights, sample_body
 
 __all__ = ["Design", "DesignSearch", "Individual"]
 
+Draw = Callable[[], tuple[Design | None, int | None]]  # gives a design, None where that failed, and its parent
 _MAX_FAILURES = 10_000  # draws in a row without a new body, before the bodies of a shape count as used up
 
 
@@ -28,6 +29,8 @@ class DesignSearch(ABC):
         seed: of all random draws.
         carries_stiffness: whether stiffness belongs to the design (the invariant setting).
         settings: the method's own settings, of JSON types; a saved state is loaded only where they are equal.
+        weights: relative frequencies of the codes 0 to 4 in random bodies and in cells drawn anew (EvoGym's by
+            default); a larger first one gives bodies of fewer voxels.
 
     Attributes:
         settings: all of them, of JSON types.
@@ -35,23 +38,32 @@ class DesignSearch(ABC):
         generation: generations told so far.
 
     Raises:
-        ValueError: The shape has no cell or the budget no body.
+        ValueError: The shape has no cell, the budget no body, or the weights are none of `sample_body`.
     """
 
     def __init__(
-        self, shape: tuple[int, int], budget: int, *, seed: int, carries_stiffness: bool, settings: Mapping[str, Any]
+        self,
+        shape: tuple[int, int],
+        budget: int,
+        *,
+        seed: int,
+        carries_stiffness: bool,
+        settings: Mapping[str, Any],
+        weights: Sequence[float] = SAMPLE_WEIGHTS,
     ) -> None:
         if len(shape) != 2 or min(shape) < 1:
             raise ValueError(f"shape: got {shape}, expected (rows, cols), both at least 1")
         if budget < 1:
             raise ValueError(f"budget: got {budget}, expected at least 1 body")
         self.shape, self.budget, self.carries_stiffness = (int(shape[0]), int(shape[1])), budget, carries_stiffness
+        self.weights = check_weights(weights)
         self.settings = {
             "method": type(self).__name__,
             "shape": list(self.shape),
             "budget": budget,
             "seed": int(seed),
             "carries_stiffness": carries_stiffness,
+            "weights": list(self.weights),
             **settings,
         }
         self.n_designs = self.generation = 0
@@ -181,26 +193,32 @@ class DesignSearch(ABC):
     def _select(self) -> list[Individual]:
         """Returns the survivors of the population, which is sorted best first."""
 
-    def _fill(self, count: int, draw: Callable[[], tuple[Design | None, int | None]]) -> None:
-        """Adds `count` individuals with new bodies, fewer where the budget ends; `draw` gives design and parent."""
-        failures = 0
+    def _fill(self, count: int, draw: Draw) -> None:
+        """Adds `count` individuals with new bodies, fewer where the budget ends."""
         while len(self._pending) < count and self.n_designs < self.budget:
+            self._add(*self._new(draw))
+
+    def _new(self, draw: Draw, taken: Collection[str] = ()) -> tuple[Design, int | None]:
+        """Draws until there is a design whose body was never proposed, and is none of those `taken`."""
+        for _ in range(_MAX_FAILURES):
             design, parent = draw()
-            if design is not None and design.key not in self._seen:
-                self._seen.add(design.key)
-                self._population.append(Individual(self.n_designs, design, parent, self.generation))
-                self._pending.append(self.n_designs)
-                self.n_designs += 1
-                failures = 0
-            elif (failures := failures + 1) == _MAX_FAILURES:
-                raise RuntimeError(
-                    f"ask: no new body in {failures} draws of shape {self.shape} after {len(self._seen)} bodies; "
-                    "choose a smaller budget, a larger shape or a higher rate of mutation"
-                )
+            if design is not None and design.key not in self._seen and design.key not in taken:
+                return design, parent
+        raise RuntimeError(
+            f"ask: no new body in {_MAX_FAILURES} draws of shape {self.shape} after {len(self._seen)} bodies; "
+            "choose a smaller budget, a larger shape or a higher rate of mutation"
+        )
+
+    def _add(self, design: Design, parent: int | None) -> None:
+        """Adds a new individual, whose fitness is waited for."""
+        self._seen.add(design.key)
+        self._population.append(Individual(self.n_designs, design, parent, self.generation))
+        self._pending.append(self.n_designs)
+        self.n_designs += 1
 
     def _random(self) -> tuple[Design, None]:
         """A random body without a parent, for `_fill`."""
-        return Design(sample_body(self.shape, self._rng)), None
+        return Design(sample_body(self.shape, self._rng, self.weights)), None
 
 
 def check_settings(own: Mapping[str, Any], saved: Mapping[str, Any]) -> None:

@@ -1,13 +1,13 @@
 """Designs (body and stiffness), individuals of a search, and mutation. Knows no simulator."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from evogymcm.body import Body, check_stiffness, mutate_body
+from evogymcm.body import SAMPLE_WEIGHTS, Body, check_stiffness, mutate_body
 
 __all__ = ["Design", "Individual", "mutate_design"]
 
@@ -104,12 +104,18 @@ class Individual:
         return cls(record["index"], Design.from_record(record), *(record[name] for name in names))
 
 
-def mutate_design(parent: Design, rng: np.random.Generator, rate: float = 0.1, attempts: int = 50) -> Design | None:
+def mutate_design(
+    parent: Design,
+    rng: np.random.Generator,
+    rate: float = 0.1,
+    attempts: int = 50,
+    weights: Sequence[float] = SAMPLE_WEIGHTS,
+) -> Design | None:
     """Returns a mutated design, or None where no attempt was valid; see `mutate_body`.
 
     The child has its parent's stiffness where a cell kept its type, and 1 elsewhere.
     """
-    body = mutate_body(parent.body, rng, rate, attempts)
+    body = mutate_body(parent.body, rng, rate, attempts, weights)
     if body is None or parent.stiffness is None:
         return None if body is None else Design(body)
     return Design(body, np.where(body.grid == parent.body.grid, parent.stiffness, 1.0))

@@ -1,12 +1,17 @@
 """EvoGym's genetic algorithm over bodies (Bhatia et al., 2021), random search, and budgets by successive halving."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from math import ceil, isfinite
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
 
 from evogymcm.algos.design_search import DesignSearch
 from evogymcm.algos.designs import Design, Individual, check_mutation, mutate_design
+from evogymcm.body import SAMPLE_WEIGHTS
 
 __all__ = [
     "Design",
@@ -47,6 +52,9 @@ class GeneticAlgorithm(DesignSearch):
     each other first, and have some generations of fine-tuning to catch up with old ones. The best body always survives.
     A = 0 selects by fitness alone.
 
+    Children may be chosen before they are asked for: `mutants` gives several of one parent for each, `choose` takes
+    the best by any score that costs less than fitness. Bodies not chosen count as never proposed.
+
     Args:
         shape: rows and columns of the bodies.
         population: P, individuals in a generation.
@@ -56,6 +64,7 @@ class GeneticAlgorithm(DesignSearch):
         attempts: at a valid mutant, before another parent is drawn.
         carries_stiffness: whether stiffness belongs to the design (the invariant setting).
         age_protection: A, in generations.
+        weights: see `DesignSearch`.
 
     Attributes:
         n_survivors: how many of the present population survive, or have just survived.
@@ -76,6 +85,7 @@ class GeneticAlgorithm(DesignSearch):
         attempts: int = 50,
         carries_stiffness: bool = False,
         age_protection: int = 0,
+        weights: Sequence[float] = SAMPLE_WEIGHTS,
     ) -> None:
         if not 1 <= population <= budget:
             raise ValueError(f"population: got {population}, expected 1 to {budget} (the budget of bodies)")
@@ -90,16 +100,78 @@ class GeneticAlgorithm(DesignSearch):
             "attempts": attempts,
             "age_protection": age_protection,
         }
-        super().__init__(shape, budget, seed=seed, carries_stiffness=carries_stiffness, settings=settings)
+        super().__init__(
+            shape, budget, seed=seed, carries_stiffness=carries_stiffness, settings=settings, weights=weights
+        )
         self.population_size, self.mutation_rate, self.attempts = population, mutation_rate, attempts
         self.age_protection = age_protection
+        self._mutants: list[list[Individual]] = []  # of the next children, waiting to be chosen from
 
     @property
     def n_survivors(self) -> int:
         """How many of the present population survive, known before its fitness."""
         return survivor_count(self.population_size, self.budget, self.n_designs)
 
+    def mutants(self, count: int) -> list[list[Individual]]:
+        """Returns `count` mutants of one parent for each child of the next generation, to `choose` from.
+
+        All have new bodies, and no two the same. They stay the same until a choice is made; those of a child share
+        the index that the chosen one will have.
+
+        Raises:
+            RuntimeError: No generation has survivors yet, new individuals are waiting for their fitness, the budget is
+                used, or the shape has hardly any further body.
+            ValueError: The count is below 1, or others of another count wait to be chosen from.
+        """
+        if not self._population or self._pending or self.is_finished:
+            raise RuntimeError("mutants: must be asked for between a generation told and the next one asked for")
+        if count < 1 or (self._mutants and len(self._mutants[0]) != count):
+            waiting = f", {len(self._mutants[0])} are waiting" if self._mutants else ""
+            raise ValueError(f"count: got {count}, expected at least 1{waiting}")
+        if not self._mutants:
+            parents, taken = self.survivors, set[str]()
+            n_children = min(self.population_size - len(parents), self.budget - self.n_designs)
+            for index in range(self.n_designs, self.n_designs + n_children):
+                parent = parents[self._rng.integers(len(parents))]
+                group = []
+                for _ in range(count):
+                    design, _ = self._new(lambda: self._child([parent]), taken)  # noqa: B023 - called at once
+                    taken.add(design.key)
+                    group.append(Individual(index, design, parent.index, self.generation))
+                self._mutants.append(group)
+        return [list(group) for group in self._mutants]
+
+    def choose(self, scores: ArrayLike) -> None:
+        """Takes the scores (children, count) of the mutants; of each child the best, first of equals, is asked for.
+
+        Raises:
+            RuntimeError: There are no mutants to choose from.
+            ValueError: The scores are not as many, or not finite; nothing has changed then.
+        """
+        if not self._mutants:
+            raise RuntimeError("choose: mutants must be asked for first")
+        values = np.asarray(scores, dtype=np.float64)
+        expected = (len(self._mutants), len(self._mutants[0]))
+        if values.shape != expected or not np.isfinite(values).all():
+            got = f"shape {values.shape}" if values.shape != expected else "some that are not finite"
+            raise ValueError(f"scores: got {got}, expected finite numbers of shape {expected}")
+        self._population = self.survivors
+        for group, pick in zip(self._mutants, values.argmax(1), strict=True):
+            self._add(group[pick].design, group[pick].parent)
+        self._mutants = []
+
+    def state_dict(self) -> dict[str, Any]:
+        """Returns the whole state, of JSON types, with the mutants that wait to be chosen from."""
+        return super().state_dict() | {"mutants": [[item.record() for item in group] for group in self._mutants]}
+
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """Goes on from where `state_dict` was called, see `DesignSearch.load_state_dict`."""
+        super().load_state_dict(state)
+        self._mutants = [[Individual.from_record(record) for record in group] for group in state["mutants"]]
+
     def _propose(self) -> None:
+        if self._mutants:
+            raise RuntimeError("ask: mutants are waiting to be chosen from")
         if not self._population:
             self._fill(self.population_size, self._random)
             return
@@ -110,7 +182,8 @@ class GeneticAlgorithm(DesignSearch):
     def _child(self, parents: list[Individual]) -> tuple[Design | None, int]:
         """A mutant of one of the parents, for `_fill`."""
         parent = parents[self._rng.integers(len(parents))]
-        return mutate_design(parent.design, self._rng, self.mutation_rate, self.attempts), parent.index
+        settings = (self.mutation_rate, self.attempts, self.weights)
+        return mutate_design(parent.design, self._rng, *settings), parent.index
 
     def _select(self) -> list[Individual]:
         count = self.n_survivors
@@ -131,15 +204,23 @@ class RandomSearch(DesignSearch):
         budget: bodies proposed in all.
         batch: bodies proposed at a time.
         seed: of all random draws.
+        weights: see `DesignSearch`.
 
     Raises:
         ValueError: A count is below 1.
     """
 
-    def __init__(self, shape: tuple[int, int], budget: int, batch: int, seed: int) -> None:
+    def __init__(
+        self,
+        shape: tuple[int, int],
+        budget: int,
+        batch: int,
+        seed: int,
+        weights: Sequence[float] = SAMPLE_WEIGHTS,
+    ) -> None:
         if batch < 1:
             raise ValueError(f"batch: got {batch}, expected at least 1 body")
-        super().__init__(shape, budget, seed=seed, carries_stiffness=False, settings={"batch": batch})
+        super().__init__(shape, budget, seed=seed, carries_stiffness=False, settings={"batch": batch}, weights=weights)
         self.batch = batch
 
     def _propose(self) -> None:

@@ -31,6 +31,7 @@ __all__ = [
     "Trained",
     "exploring",
     "score_alone",
+    "score_mutants",
     "score_proposals",
     "score_together",
     "train_designs",
@@ -207,6 +208,25 @@ def score_together(
     actor.columns = env.grid_shape[1]
     with limited_threads(1):
         return evaluate(PerDesign(actor, len(policies)), env)
+
+
+def score_mutants(
+    arena: Arena, mutants: Sequence[Sequence[Design]], policies: Sequence[Policy]
+) -> tuple[np.ndarray, int]:
+    """Scores several mutants under each of their parents' controllers, in one batch.
+
+    Args:
+        arena: where.
+        mutants: as many of each of P parents.
+        policies: P controllers.
+
+    Returns:
+        Scores (P, mutants of a parent), and the env-steps simulated.
+    """
+    copies = len(mutants[0])
+    designs = [group[copy] for copy in range(copies) for group in mutants]
+    together = score_together(arena, designs, policies, copies)
+    return together.score.reshape(copies, len(mutants)).T.copy(), together.env_steps
 
 
 def score_proposals(

@@ -21,7 +21,7 @@ from tests.algos.test_real_env import make_short
 
 ROOT = Path(__file__).parents[2]
 KILLS = 10
-CODESIGN = replace(TINY_CODESIGN, arm="invariant", budget=9)
+CODESIGN = replace(TINY_CODESIGN, arm="invariant", budget=9, inherit=True, mutants=3)
 CHILD = """
 from tests.algos.test_kill_and_resume import {name}
 print("started", flush=True)
