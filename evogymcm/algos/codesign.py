@@ -25,6 +25,7 @@ from evogymcm.algos.generation import (
     score_proposals,
     train_designs,
 )
+from evogymcm.algos.ledger import Ledger
 from evogymcm.algos.material_search import MaterialSearch
 from evogymcm.algos.ppo import PPOConfig
 from evogymcm.algos.runs import RunFolder, stop_on_interrupt
@@ -89,10 +90,7 @@ class Codesign:
         self.config, self.run = config, run
         self.arena, self.search = config.make_arena(), config.make_search()
         self.env_steps, self.phase = 0, "train"
-        self.policies: dict[int, Policy] = {}  # of survivors and of the best
-        self.returns: dict[int, float] = {}  # of survivors, with the last step's reward, which fitness leaves out
-        self.rows: list[dict[str, Any]] = []
-        self.champion: tuple[Individual, Policy] | None = None
+        self.ledger = Ledger(run)
         self._tell: Callable[[CodesignProgress], None] = lambda progress: None
         self._is_stopped: Callable[[], bool] = lambda: False
         if run and (saved := run.load(_STATE)):
@@ -123,9 +121,7 @@ class Codesign:
         }
         done = phases[self.phase]()
         if done:
-            kept = {individual.index for individual in self.search.survivors}
-            self.policies = {index: policy for index, policy in self.policies.items() if index in kept}
-            self.returns = {index: value for index, value in self.returns.items() if index in kept}
+            self.ledger.keep({individual.index for individual in self.search.survivors})
             if self.run:
                 self.run.save(_STATE, self._state())
                 for checkpoint in self.run.path.glob("generation-*/*.pt"):
@@ -138,9 +134,8 @@ class Codesign:
         return "screen" if self.config.mutants > 1 and self.search.generation else "train"
 
     def _report(self, steps: int = 0) -> None:
-        best = None if self.champion is None else self.champion[0].fitness
-        state = (self.search.generation, self.phase, self.env_steps + steps, self.search.n_designs, best)
-        self._tell(CodesignProgress(*state))
+        place = (self.search.generation, self.phase, self.env_steps + steps, self.search.n_designs)
+        self._tell(CodesignProgress(*place, self.ledger.best))
 
     def _design(self, individual: Individual) -> Design:
         """Returns the design as it is simulated in this arm."""
@@ -171,7 +166,7 @@ class Codesign:
         """Plays mutants under their parents' controllers, and takes the best of each child."""
         assert isinstance(self.search, GeneticAlgorithm)
         mutants = self.search.mutants(self.config.mutants)
-        policies = [self.policies[index] for group in mutants if (index := group[0].parent) is not None]
+        policies = [self.ledger.policies[index] for group in mutants if (index := group[0].parent) is not None]
         designs = [[self._design(individual) for individual in group] for group in mutants]
         scores, steps = [], 0
         for begin in range(0, self.config.mutants, _SCREENED):
@@ -195,7 +190,7 @@ class Codesign:
         scores = np.full(len(new), -np.inf)
         start = None
         if self.config.inherit and all(individual.parent is not None for individual in new):
-            start = [self.policies[individual.parent] for individual in new if individual.parent is not None]
+            start = [self.ledger.policies[individual.parent] for individual in new if individual.parent is not None]
             if self.config.inherit_std is not None:
                 start = [exploring(policy, self.config.inherit_std) for policy in start]
         bounds, steps = (0.0, *schedule.rungs, 1.0), 0
@@ -218,8 +213,8 @@ class Codesign:
         generation = self.search.generation
         self.search.tell({individual.index: float(alone.score[i]) for i, individual in enumerate(new)})
         for i, individual in enumerate(new):
-            self.policies[individual.index] = policies[i]
-            self.returns[individual.index] = float(alone.returns[i])
+            self.ledger.policies[individual.index] = policies[i]
+            self.ledger.returns[individual.index] = float(alone.returns[i])
             self._record("train", replace(individual, fitness=float(alone.score[i])), generation)
         self.phase = "search" if self.config.arm == "invariant" and self.search.survivors else self._first_phase
         return True
@@ -228,7 +223,7 @@ class Codesign:
         """Searches the survivors' stiffness fields under their present controllers."""
         config = self.config.search
         survivors = self.search.survivors
-        policies = [self.policies[individual.index] for individual in survivors]
+        policies = [self.ledger.policies[individual.index] for individual in survivors]
         search = MaterialSearch(survivors, seed=(self.config.seed, self.search.generation), **asdict(config))
         steps = 0
         while not search.is_finished:
@@ -236,7 +231,7 @@ class Codesign:
                 return False  # no more than a search is lost
             scores, returns, spent = score_proposals(self.arena, search, survivors, policies)
             for i in np.flatnonzero(search.tell(scores)):
-                self.returns[survivors[i].index] = float(returns[i])
+                self.ledger.returns[survivors[i].index] = float(returns[i])
             steps += spent
             self._report(steps)
         self.env_steps += steps
@@ -251,7 +246,7 @@ class Codesign:
         """Trains the survivors on, each on its present material; a policy is replaced only by a better one."""
         survivors = self.search.survivors
         designs = [individual.design for individual in survivors]
-        start = [self.policies[individual.index] for individual in survivors]
+        start = [self.ledger.policies[individual.index] for individual in survivors]
         trained = self._learn("finetune", designs, self.config.finetuning(), start, 0)
         if not trained.finished:
             return False
@@ -259,7 +254,7 @@ class Codesign:
         self.env_steps += trained.env_steps + alone.env_steps
         for individual, policy, score, total in zip(survivors, trained.best, alone.score, alone.returns, strict=True):
             if score > (individual.fitness or 0.0):
-                self.policies[individual.index], self.returns[individual.index] = policy, float(total)
+                self.ledger.policies[individual.index], self.ledger.returns[individual.index] = policy, float(total)
                 self.search.update(individual.index, fitness=float(score))
         self._record_survivors("finetune")
         self.phase = self._first_phase
@@ -270,43 +265,17 @@ class Codesign:
             self._record(event, individual, self.search.generation - 1)
 
     def _record(self, event: str, individual: Individual, generation: int) -> None:
-        """Adds a row, and keeps the controller and the best individual."""
-        assert individual.fitness is not None
-        policy = self.policies[individual.index]
-        if self.champion is None or individual.fitness > (self.champion[0].fitness or -np.inf):
-            self.champion = (individual, policy)
-        row = individual.record() | {"event": event, "generation_now": generation, "env_steps": self.env_steps}
-        row |= {"return": self.returns[individual.index], "best": self.champion[0].fitness}
-        self.rows.append(row)
-        if self.run:
-            self.run.append(row)
-            self.run.save(f"policy-{individual.index:04}", policy)
+        self.ledger.add(event, individual, generation, self.env_steps)
 
     def _state(self) -> dict[str, Any]:
-        """Returns what a killed run goes on from; policies are in files of their own."""
-        champion = None
-        if self.champion:
-            champion = {"individual": self.champion[0].record(), "policy": self.champion[1]}
-        return {
-            "search": self.search.state_dict(),
-            "env_steps": self.env_steps,
-            "phase": self.phase,
-            "rows": len(self.rows),
-            "policies": self.policies,
-            "returns": self.returns,
-            "champion": champion,
-        }
+        """Returns what a killed run goes on from."""
+        state = {"search": self.search.state_dict(), "env_steps": self.env_steps, "phase": self.phase}
+        return state | self.ledger.state_dict()
 
     def _load(self, state: Mapping[str, Any]) -> None:
-        assert self.run is not None
         self.search.load_state_dict(state["search"])
         self.env_steps, self.phase = state["env_steps"], state["phase"]
-        self.run.keep_rows(state["rows"])
-        self.rows = self.run.rows()
-        self.policies, self.returns = dict(state["policies"]), dict(state["returns"])
-        if state["champion"]:
-            individual = Individual.from_record(state["champion"]["individual"])
-            self.champion = (individual, state["champion"]["policy"])
+        self.ledger.load_state_dict(state)
 
 
 def codesign(
@@ -331,5 +300,5 @@ def codesign(
         while not state.is_finished and not is_stopped():
             if not state.advance(progress, is_stopped):
                 break
-    best, policy = state.champion or (None, None)
-    return CodesignResult(best, policy, state.rows, state.env_steps, state.is_finished)
+    best, policy = state.ledger.champion or (None, None)
+    return CodesignResult(best, policy, state.ledger.rows, state.env_steps, state.is_finished)
