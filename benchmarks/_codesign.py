@@ -129,6 +129,16 @@ _SHORTCUTS = replace(  # policy inheritance and successive halving: lineages lea
     keep=(0.5,),
     ppo=_body_budget(50_000),
 )
+_SCREENING = replace(  # and children chosen from mutants, so that fewer need be trained
+    _SHORTCUTS,
+    budget=1000,
+    max_env_steps=1_500_000,
+    inherit_std=0.6,
+    mutants=8,
+    rungs=(0.25,),
+    keep=(0.3,),
+    ppo=_body_budget(40_960),
+)
 _MEDIUM = replace(
     _SMALL, population=12, max_env_steps=10_000_000, finetune_steps=10_000, ppo=_body_budget(200_000, num_worlds=32)
 )
@@ -184,6 +194,7 @@ PRESETS: Mapping[str, CodesignSuite] = {
     "reactive-quick": _suite("B", ("AreaMaximizer-v0",), (0,), _QUICK),
     "reactive-small": _suite("B", ("AreaMaximizer-v0", "DownStepper-v0"), (0, 1, 2), _SMALL),
     "reactive-shortcuts": _suite("B", ("AreaMaximizer-v0", "DownStepper-v0"), (0, 1, 2), _SHORTCUTS),
+    "reactive-screening": _suite("B", ("AreaMaximizer-v0", "DownStepper-v0"), (0, 1, 2), _SCREENING),
     "reactive-medium": _suite("B", ("AreaMaximizer-v0", "DownStepper-v0"), (0, 1, 2), _MEDIUM),
     "reactive-paper": _suite("B", tuple(PAPER), (0, 1, 2), _PAPER),
     "hundred-bodies-reactive": _suite("B", tuple(PAPER), (0,), _HUNDRED_REACTIVE, ("reactive",)),

@@ -50,9 +50,10 @@ class Options:
             600,000 env-steps each), paper (the same with 1,000,000), exploring (as table, AreaMinimizer-v0 only, with
             initial_std 4). B and C: reactive-... and invariant-quick (1 task, minutes), -small (2 tasks, 3 seeds),
             -medium (the same, hours) and -paper (6 tasks, 100 bodies of 1,000,000 env-steps a run: days), -shortcuts
-            (as -small, with policy inheritance and successive halving, see steps_to_reach.py). hundred-bodies-reactive,
-            -invariant, -exploring-invariant, -screening-invariant, -sparse-prescribed: one arm with as many bodies as
-            published genetic algorithms train, 6 tasks, hours.
+            (as -small, with policy inheritance and successive halving, see steps_to_reach.py). reactive-screening: the
+            same, and children chosen from mutants. hundred-bodies-reactive, -invariant, -exploring-invariant,
+            -screening-invariant, -sparse-prescribed: one arm with as many bodies as published genetic algorithms train,
+            6 tasks, hours.
         tasks: tasks instead of the preset's.
         arms: "control-only", "co-optimisation" or both, instead of the preset's; in B "fixed", "reactive", in C
             "prescribed", "invariant".
