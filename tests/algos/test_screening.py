@@ -151,7 +151,10 @@ def test_weights_are_checked_and_part_of_the_state():
 SCREENING = replace(TINY, inherit=True, mutants=3)
 
 
-@pytest.mark.parametrize("arm", ["reactive", "prescribed", "invariant"])
+@pytest.mark.parametrize(
+    "arm",
+    ["prescribed", pytest.param("reactive", marks=pytest.mark.slow), pytest.param("invariant", marks=pytest.mark.slow)],
+)
 def test_children_are_the_best_mutants_under_their_parents_controller(arm, tmp_path, monkeypatch):
     config = replace(SCREENING, arm=arm, prescribed=1.5, budget=5, mutants=10)  # two blocks of mutants
     played = []
