@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from gymnasium.envs.registration import EnvSpec
 
-from evogymcm.envs._evogym import WorldReadings
+from evogymcm.envs.world_readings import WorldReadings
 
 if TYPE_CHECKING:
     from evogymcm.envs.gymnasium import GymnasiumVectorEnv

@@ -15,7 +15,6 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from evogymcm.body import Body, as_body
-from evogymcm.envs._evogym import WorldReadings
 from evogymcm.envs._human import Window
 from evogymcm.envs._per_world import PerWorld, VectorWorld
 from evogymcm.envs.core import TaskEngine
@@ -23,6 +22,7 @@ from evogymcm.envs.designs import BodySpec, as_bodies
 from evogymcm.envs.registration import Described
 from evogymcm.envs.render import FPS, make_renderer
 from evogymcm.envs.task import Task
+from evogymcm.envs.world_readings import WorldReadings
 from evogymcm.sim.constants import ACTUATION_HIGH, ACTUATION_LOW, STIFFNESS_HIGH, STIFFNESS_LOW, Physics
 
 _NO_LIMIT = -1  # Gymnasium's way to ask for episodes that only a task ends
@@ -73,8 +73,8 @@ class GymnasiumEnv(Described, WorldReadings, gymnasium.Env[np.ndarray, np.ndarra
     It truncates nothing by itself: `gymnasium.make` puts a `TimeLimit` around it, of `max_episode_steps` or, where none
     are given, of the task's `time_limit`.
 
-    `info` holds `com` (2,), `unstable`, `score` (the episode's rewards but the last), `return` (all of them), and
-    `physics`, the constants that differ from the benchmark's, where some do.
+    `info` holds NumPy values: `com` (2,), `unstable`, `score` (the episode's rewards but the last), `return` (all of
+    them); and `physics`, the constants that differ from the benchmark's, where some do.
 
     Args:
         task: A task or its id.

@@ -10,11 +10,12 @@ from evogymcm.envs.designs import BodySpec
 from evogymcm.envs.gymnasium import GymnasiumVectorEnv
 from evogymcm.envs.task import Task
 
+_missing: ImportError | None = None
 try:
     from stable_baselines3.common.monitor import Monitor
     from stable_baselines3.common.vec_env import VecEnv
-except ImportError as error:
-    raise ImportError("evogymcm.envs.sb3 needs stable-baselines3: pip install evogymcm[sb3]") from error
+except ImportError as error:  # the module can be read without, as all others
+    Monitor, VecEnv, _missing = None, object, error  # type: ignore[assignment, misc]
 
 
 class SB3VecEnv(VecEnv):
@@ -32,6 +33,7 @@ class SB3VecEnv(VecEnv):
             num_threads, render_mode and so on.
 
     Raises:
+        ImportError: stable-baselines3 is not installed.
         ValueError: For bad arguments, as `GymnasiumVectorEnv`.
     """
 
@@ -40,6 +42,8 @@ class SB3VecEnv(VecEnv):
     def __init__(
         self, task: str | Task, body: BodySpec | Sequence[BodySpec], num_envs: int = 1, **options: Any
     ) -> None:
+        if _missing is not None:
+            raise ImportError("SB3VecEnv needs stable-baselines3: pip install evogymcm[sb3]") from _missing
         if "autoreset_mode" in options:
             raise ValueError("autoreset_mode: Stable-Baselines3 has one of its own, ended worlds start anew at once")
         self.envs = GymnasiumVectorEnv(task, body, num_envs, autoreset_mode="SameStep", **options)
