@@ -1,6 +1,7 @@
 """The Gymnasium environments: registration, checkers, autoreset modes, arguments, info, errors."""
 
 import warnings
+from dataclasses import replace
 from itertools import pairwise
 
 import gymnasium
@@ -15,6 +16,7 @@ from torchrl.envs import GymEnv
 
 import evogymcm as cm
 from evogymcm.envs import GymnasiumEnv, GymnasiumVectorEnv
+from evogymcm.envs import tasks as task_package
 from evogymcm.sim.constants import Physics
 from tests.envs.tools import PAPER_ROBOTS, SMALL, TALL, WIDE, make_engine, random_actions
 
@@ -153,37 +155,52 @@ def test_points_and_velocities():
         env.unwrapped.points("package")
 
 
-def steps_to_truncation(env, most=520):
+@pytest.fixture
+def short_task():
+    """A task of one's own whose episodes have four env-steps."""
+    task = cm.register_task(replace(cm.tasks["Walker-v0"], id="Short-v0", time_limit=4))
+    yield task
+    del task_package._REGISTRY[task.id], gymnasium.registry[f"evogymcm/{task.id}"]
+
+
+def steps_to_truncation(env, most=8):
     """Env-steps of an idle episode until it is cut; None where it goes on."""
     env.reset()
     idle = np.ones(env.action_space.shape)
     for step in range(1, most + 1):
-        _, _, terminated, truncated, _ = env.step(idle)
+        _, reward, terminated, truncated, info = env.step(idle)
         assert not np.any(terminated)
         if np.all(truncated):
+            np.testing.assert_allclose(info["return"], info["score"] + reward, rtol=0, atol=1e-15)
             return step
     return None
 
 
-def test_max_episode_steps_rules_over_the_tasks_limit():
-    assert cm.tasks["Walker-v0"].time_limit == 500
-    assert steps_to_truncation(make(body=SMALL)) == 500
-    assert steps_to_truncation(make(body=SMALL, max_episode_steps=3)) == 3
-    assert steps_to_truncation(make(body=SMALL, max_episode_steps=510)) == 510
-    assert steps_to_truncation(make(body=SMALL, max_episode_steps=-1)) is None
-    assert steps_to_truncation(TimeLimit(make(body=SMALL).unwrapped, 510)) == 510
-    assert steps_to_truncation(GymnasiumEnv("Walker-v0", SMALL)) is None  # as EvoGym's classes
+def test_max_episode_steps_rules_over_the_tasks_limit(short_task):
+    def limited(**options):
+        return make(short_task.id, SMALL, **options)
+
+    assert steps_to_truncation(limited()) == 4
+    assert steps_to_truncation(limited(max_episode_steps=3)) == 3
+    assert steps_to_truncation(limited(max_episode_steps=6)) == 6
+    assert steps_to_truncation(limited(max_episode_steps=-1)) is None
+    assert steps_to_truncation(TimeLimit(limited().unwrapped, 6)) == 6
+    assert steps_to_truncation(GymnasiumEnv(short_task, SMALL)) is None  # as EvoGym's classes
+    assert make(max_episode_steps=1000).spec.max_episode_steps == 1000
 
 
-def test_max_episode_steps_of_vector_environments():
-    assert steps_to_truncation(make_vec(body=SMALL, num_envs=2)) == 500
-    assert steps_to_truncation(make_vec(body=SMALL, num_envs=2, max_episode_steps=510)) == 510
-    assert steps_to_truncation(make_vec(body=SMALL, num_envs=2, max_episode_steps=-1)) is None
-    sync = gymnasium.make_vec("evogymcm/Walker-v0", 2, "sync", body=SMALL, max_episode_steps=510)
-    assert steps_to_truncation(sync) == 510
+def test_max_episode_steps_of_vector_environments(short_task):
+    def limited(**options):
+        return make_vec(short_task.id, SMALL, 2, **options)
+
+    assert steps_to_truncation(limited()) == 4
+    assert steps_to_truncation(limited(max_episode_steps=6)) == 6
+    assert steps_to_truncation(limited(max_episode_steps=-1)) is None
+    sync = gymnasium.make_vec(f"evogymcm/{short_task.id}", 2, "sync", body=SMALL, max_episode_steps=6)
+    assert steps_to_truncation(sync) == 6
     for bad in (0, -2):
         with pytest.raises(ValueError, match=rf"max_episode_steps: got {bad}.*-1 for no limit"):
-            make_vec(max_episode_steps=bad)
+            limited(max_episode_steps=bad)
 
 
 def test_no_task_is_called_out_of_date():
