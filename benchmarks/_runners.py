@@ -22,7 +22,7 @@ from evogymcm.envs.tasks import as_task
 from evogymcm.sim.simulator import Simulator
 from evogymcm.sim.world import ROBOT, World, WorldObject
 
-DOORS = ("core", "simulator", "gymnasium", "torchrl", "collector", "pettingzoo")
+DOORS = ("core", "simulator", "gymnasium", "torchrl", "collector", "pettingzoo", "sb3")
 _N_ACTIONS = 64  # different random actions, taken in turn
 _CHUNK = 16  # env-steps between two looks at the clock
 
@@ -248,6 +248,46 @@ class _PettingZoo(Runner):
             self.env.reset()
 
 
+class _StableBaselines(Runner):
+    """Stable-Baselines3's vector environment on the batched simulator."""
+
+    def __init__(self, workload: Workload) -> None:
+        self.env = self._make(workload)
+        box = self.env.action_space
+        rng = np.random.default_rng(workload.seed)
+        shape = (_N_ACTIONS, workload.worlds, *box.shape)
+        self.actions = cycle(list(rng.uniform(box.low, box.high, shape).astype(np.float32)))
+        self.env.seed(workload.seed)
+        self.env.reset()
+        self.steps_at_once = workload.worlds
+
+    def _make(self, workload: Workload) -> Any:
+        from evogymcm.envs import SB3VecEnv
+
+        options = {"material": workload.material, "num_threads": workload.threads}
+        return SB3VecEnv(workload.task, workload.bodies[0], workload.worlds, **options)
+
+    def advance(self) -> None:
+        self.env.step(next(self.actions))
+
+    def close(self) -> None:
+        self.env.close()
+
+
+class Subprocesses(_StableBaselines):
+    """Stable-Baselines3's own `SubprocVecEnv`: a process for each world."""
+
+    def _make(self, workload: Workload) -> Any:
+        from stable_baselines3.common.vec_env import SubprocVecEnv
+
+        def make() -> gymnasium.Env:
+            import evogymcm  # noqa: F401  registers the ids
+
+            return gymnasium.make(f"evogymcm/{workload.task}", body=workload.bodies[0], material=workload.material)
+
+        return SubprocVecEnv([make] * workload.worlds)
+
+
 def _run_batches(runner: Runner, seconds: float) -> float:
     """Returns env-steps per second of a runner whose `advance` is long enough to look at the clock after each."""
     count, start = 0, time.perf_counter()
@@ -270,7 +310,9 @@ def _torchrl_env(workload: Workload) -> Any:
     )
 
 
-_CLASSES = dict(zip(DOORS, (_Core, _Simulator, _Gymnasium, _TorchRL, _Collector, _PettingZoo), strict=True))
+_CLASSES = dict(
+    zip(DOORS, (_Core, _Simulator, _Gymnasium, _TorchRL, _Collector, _PettingZoo, _StableBaselines), strict=True)
+)
 
 
 def make_runner(door: str, workload: Workload) -> Runner:

@@ -19,7 +19,7 @@ from typing import Any, Literal
 import numpy as np
 import tyro
 from _machine import commit, machine, versions
-from _runners import DOORS, EvoGym, Runner, Workload, make_runner
+from _runners import DOORS, EvoGym, Runner, Subprocesses, Workload, make_runner
 
 from evogymcm.body import as_body, sample_body
 
@@ -44,6 +44,7 @@ class Options:
         cases: "chosen" (what the other options say), or a table of cases, for which only the options below count:
             "speed" (against EvoGym and between threads) or "doors" (every adapter against the bare simulator).
         against_evogym: a Python interpreter that has evogym 2.0.0, to compare with.
+        against_subproc: compare with Stable-Baselines3's `SubprocVecEnv`, a process for each world.
         pairs: measurements of each program; their median counts.
         seconds: length of one measurement.
         json: print one JSON object a row instead of a table.
@@ -57,9 +58,10 @@ class Options:
     worlds: int = 64
     threads: int = 1
     material: Literal["invariant", "reactive"] = "invariant"
-    through: Literal["core", "simulator", "gymnasium", "torchrl", "collector", "pettingzoo"] = "core"
+    through: Literal["core", "simulator", "gymnasium", "torchrl", "collector", "pettingzoo", "sb3"] = "core"
     cases: Literal["chosen", "speed", "doors"] = "chosen"
     against_evogym: Path | None = None
+    against_subproc: bool = False
     pairs: int = 5
     seconds: float = 2.0
     json: bool = False
@@ -73,6 +75,7 @@ class Case:
     workload: Workload
     through: str = "core"
     with_evogym: bool = False
+    with_subproc: bool = False
     with_one_thread: bool = False
     with_simulator: bool = False
 
@@ -92,7 +95,8 @@ def workloads(options: Options) -> Iterator[Workload]:
 def cases(options: Options) -> list[Case]:
     """Returns the rows to measure."""
     if options.cases == "chosen":
-        return [Case(w, options.through, with_evogym=True) for w in workloads(options)]
+        against = {"with_evogym": True, "with_subproc": options.against_subproc}
+        return [Case(w, options.through, **against) for w in workloads(options)]
     plain = replace(Options(), seed=options.seed)
     walker = replace(plain, tasks=("Walker-v0",))
     if options.cases == "doors":
@@ -138,6 +142,9 @@ def measure(case: Case, options: Options) -> dict[str, Any]:
         if case.with_evogym and options.against_evogym:
             runners.append(add(EvoGym(options.against_evogym, workload)))
             keys.append("evogym_env_steps_per_s")
+        if case.with_subproc:
+            runners.append(add(Subprocesses(workload)))
+            keys.append("subproc_env_steps_per_s")
         if case.with_one_thread:
             runners.append(add(make_runner(case.through, replace(workload, threads=1))))
             keys.append("one_thread_env_steps_per_s")
@@ -172,6 +179,8 @@ def table_line(row: dict[str, Any]) -> str:
         text += f"   EvoGym {row['evogym_env_steps_per_s']:>6.0f}/s   x{row['ratio']:.1f}"
     if "over_one_thread" in row:
         text += f"   x{row['over_one_thread']:.2f} of one thread"
+    if "over_subproc" in row:
+        text += f"   x{row['over_subproc']:.1f} of SubprocVecEnv"
     if "over_simulator" in row:
         text += f"   x{row['over_simulator']:.2f} of the simulator"
     return text

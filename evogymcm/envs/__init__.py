@@ -19,6 +19,7 @@ _HOME = {
     "write_video": "evogymcm.envs.video",
     "GymnasiumEnv": "evogymcm.envs.gymnasium",
     "GymnasiumVectorEnv": "evogymcm.envs.gymnasium",
+    "SB3VecEnv": "evogymcm.envs.sb3",
     "Task": "evogymcm.envs.task",
     "Window": "evogymcm.envs.task",
     "Snapshot": "evogymcm.envs.task",

@@ -1,6 +1,6 @@
 """Draws the parts of a world on a pygame surface. Surfaces are twice the picture's size: scaling down smooths edges."""
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -14,6 +14,14 @@ _MARKED_FROM = 18  # width of a voxel in fine pixels from which actuators are ma
 _OUTLINED_FROM = 10  # ... from which voxels are outlined
 
 
+class Shown(NamedTuple):
+    """What of a world is drawn."""
+
+    background: bool = True  # the implicit floor, and the goal
+    edges: bool = True
+    voxels: bool = True  # their insides
+
+
 class Painter:
     """Draws one world, seen from a view, on a surface.
 
@@ -21,20 +29,21 @@ class Painter:
         surface: A pygame surface.
         view: What to see; the surface's aspect is kept.
         by_stiffness: Whether colours show stiffness alone, instead of types.
+        shown: What to draw.
     """
 
-    def __init__(self, surface: Any, view: View, by_stiffness: bool) -> None:
+    def __init__(self, surface: Any, view: View, by_stiffness: bool, shown: Shown) -> None:
         self._pygame = load_pygame()
         self._surface = surface
         self._width, self._height = surface.get_size()
         self._scale = self._height / view.height  # pixels in a metre
         self._left = view.x - self._width / self._scale / 2
         self._top = view.y + view.height / 2
-        self._by_stiffness = by_stiffness
+        self._by_stiffness, self._shown = by_stiffness, shown
         voxel = self._scale * VOXEL
-        self._thin = 2 if voxel >= _OUTLINED_FROM else 0
+        self._thin = 2 if voxel >= _OUTLINED_FROM and shown.edges else 0
         self._bold = 4 if voxel >= _MARKED_FROM else self._thin or 1
-        self._has_marks = voxel >= _MARKED_FROM and not by_stiffness
+        self._has_marks = voxel >= _MARKED_FROM and shown.edges and not by_stiffness
 
     def _pixels(self, xy: np.ndarray) -> np.ndarray:
         """Returns pixels (..., 2) of metres (..., 2)."""
@@ -44,6 +53,8 @@ class Painter:
         """Draws the sky, the implicit floor below y = 0, and a dashed line at the goal."""
         surface = self._surface
         surface.fill(palette.SKY)
+        if not self._shown.background:
+            return
         (x, y), (_, floor) = self._pixels(np.array([[goal_x or 0.0, goal_y or 0.0], [0.0, 0.0]]))
         if floor < self._height:
             surface.fill(palette.FLOOR, (0, max(round(floor), 0), self._width, self._height))
@@ -66,11 +77,12 @@ class Painter:
         for ((x, y), (right, bottom)), sides in zip(
             ends[seen].tolist(), parts.square_sides[seen].tolist(), strict=True
         ):
-            fill(dark, (x, y, right - x, bottom - y))
-            fill(color, (x, y, right - x - thin, bottom - y - thin))
+            if self._shown.voxels:
+                fill(dark, (x, y, right - x, bottom - y))
+                fill(color, (x, y, right - x - thin, bottom - y - thin))
             if thin:
                 line(surface, dark, (x + thin, bottom - 2 * thin), (right - 2 * thin, y + thin), thin)
-            if any(sides):
+            if self._shown.edges and any(sides):
                 surface_sides.append((x, y, right, bottom, sides))
         for x, y, right, bottom, (at_top, at_right, at_bottom, at_left) in surface_sides:
             if at_top:
@@ -109,14 +121,17 @@ class Painter:
         """Fills and outlines voxels, their surface in bold."""
         draw, surface = self._pygame.draw, self._surface
         corners = quads.tolist()
-        for four, color in zip(corners, colors.tolist(), strict=True):
-            draw.polygon(surface, color, four)
+        if self._shown.voxels:
+            for four, color in zip(corners, colors.tolist(), strict=True):
+                draw.polygon(surface, color, four)
         if self._thin:
             outlines = np.rint(colors * 0.6).astype(int).tolist()
             for four, outline in zip(corners, outlines, strict=True):
                 draw.lines(surface, outline, True, four, self._thin)
         if self._has_marks:
             self._marks(quads, codes, colors)
+        if not self._shown.edges:
+            return
         for four, is_surface in zip(corners, sides.tolist(), strict=True):
             for i in range(4):
                 if is_surface[i]:

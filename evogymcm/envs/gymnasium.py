@@ -5,6 +5,7 @@ stiffness for each voxel, row-major.
 """
 
 from collections.abc import Mapping, Sequence
+from dataclasses import fields
 from typing import Any
 
 import gymnasium
@@ -15,12 +16,16 @@ from gymnasium.vector.utils import batch_space
 
 from evogymcm.body import Body, as_body
 from evogymcm.envs._human import Window
+from evogymcm.envs._per_world import PerWorld, VectorWorld
 from evogymcm.envs.core import TaskEngine
 from evogymcm.envs.designs import BodySpec, as_bodies
-from evogymcm.envs.render import FPS, Renderer
+from evogymcm.envs.registration import Described
+from evogymcm.envs.render import FPS, make_renderer
 from evogymcm.envs.task import Task
+from evogymcm.envs.world_readings import WorldReadings
 from evogymcm.sim.constants import ACTUATION_HIGH, ACTUATION_LOW, STIFFNESS_HIGH, STIFFNESS_LOW, Physics
 
+_NO_LIMIT = -1  # Gymnasium's way to ask for episodes that only a task ends
 _NOMINAL = 100.0  # bounds of the observation space, as in EvoGym; nothing is clipped to them
 
 
@@ -62,11 +67,14 @@ class _ActionGrid:
         return actuation, stiffness
 
 
-class GymnasiumEnv(gymnasium.Env[np.ndarray, np.ndarray]):
+class GymnasiumEnv(Described, WorldReadings, gymnasium.Env[np.ndarray, np.ndarray]):
     """One world of one task.
 
-    `info` holds `com` (2,), `unstable`, `score` (the episode's rewards but the last), `return` (all of them), and
-    `physics`, the constants that differ from the benchmark's, where some do.
+    It truncates nothing by itself: `gymnasium.make` puts a `TimeLimit` around it, of `max_episode_steps` or, where none
+    are given, of the task's `time_limit`.
+
+    `info` holds NumPy values: `com` (2,), `unstable`, `score` (the episode's rewards but the last), `return` (all of
+    them); and `physics`, the constants that differ from the benchmark's, where some do.
 
     Args:
         task: A task or its id.
@@ -75,15 +83,17 @@ class GymnasiumEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         material: "invariant" or "reactive".
         stiffness: Invariant only: field in [0.5, 2] of the body's shape; None is 1 everywhere, plain EvoGym.
         edge_rule: How stiffness acts on shared edges: "mean_factor" or "mean_stiffness".
-        render_mode: "rgb_array" (`render` returns a picture), "human" (a window shows every step), or None.
-        render_options: Keywords of `Renderer`: width, height, view, legend.
-        physics: Constants; the benchmark's by default.
+        render_mode: "rgb_array" (`render` returns a picture), "human" (a window shows every step), or None. EvoGym's
+            names for the two are "img" and "screen".
+        render_options: Keywords of `Renderer`: width, height, view, legend, hide_background, hide_edges, hide_voxels;
+            EvoGym's verbose and hide_grid have no effect.
+        physics: Constants, or those that differ from the benchmark's, by name; the benchmark's by default.
 
     Raises:
         ValueError: For bad arguments, as `TaskEngine`; in a step for NaN or another number of values.
     """
 
-    metadata: dict[str, Any] = {"render_modes": ["rgb_array", "human"], "render_fps": FPS}
+    metadata: dict[str, Any] = {"render_modes": ["rgb_array", "human", "img", "screen"], "render_fps": FPS}
 
     def __init__(
         self,
@@ -96,25 +106,26 @@ class GymnasiumEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         edge_rule: str = "mean_factor",
         render_mode: str | None = None,
         render_options: Mapping[str, Any] | None = None,
-        physics: Physics | None = None,
+        physics: Physics | Mapping[str, float] | None = None,
     ) -> None:
         design = as_body(body) if connections is None else Body(as_body(body).grid, connections)
         self.render_mode = _check_render_mode(render_mode, self.metadata)
-        self.engine = TaskEngine(
+        engine = TaskEngine(
             task,
             design,
             1,
             material=material,
             stiffness=stiffness,
             edge_rule=edge_rule,
-            physics=physics,
+            physics=_as_physics(physics),
             num_threads=1,
             with_voxels=False,
         )
+        WorldReadings.__init__(self, engine)
         self.observation_space, self.action_space = _single_spaces(self.engine)
         self._grid = _ActionGrid(self.engine, self.action_space.shape[0])
-        self._renderer = Renderer(self.engine, **render_options or {}) if render_mode else None
-        self._window = Window(self.engine.task.id, FPS) if render_mode == "human" else None
+        self._renderer = make_renderer(engine, render_mode, render_options)
+        self._window = Window(engine.task.id, FPS) if render_mode in ("human", "screen") else None
 
     def _observation(self) -> np.ndarray:
         flat = self.engine.flat
@@ -126,9 +137,9 @@ class GymnasiumEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         changed = engine.simulator.physics.changed()
         info = {
             "com": engine.com[0],
-            "unstable": bool(engine.unstable[0]),
-            "score": float(engine.score[0]),
-            "return": float(engine.returns[0]),
+            "unstable": engine.unstable[0],
+            "score": engine.score[0],
+            "return": engine.returns[0],
         }
         return info | {"physics": changed} if changed else info
 
@@ -146,8 +157,7 @@ class GymnasiumEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         engine = self.engine
         engine.step(*self._grid.spread(np.asarray(action)[None]))
         self._show()
-        ended = bool(engine.terminated[0]), bool(engine.truncated[0])
-        return self._observation(), float(engine.reward[0]), *ended, self._info()
+        return self._observation(), float(engine.reward[0]), bool(engine.terminated[0]), False, self._info()
 
     def render(self) -> np.ndarray | None:
         """Returns a picture, uint8 (height, width, 3), where `render_mode` is "rgb_array"; see `Renderer`."""
@@ -164,19 +174,11 @@ class GymnasiumEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         if self._window:
             self._window.close()
 
-    def points(self, name: str = "robot") -> np.ndarray:
-        """Returns (2, n) positions in metres of an object's points."""
-        return self.engine.simulator.positions(name)
 
-    def velocities(self, name: str = "robot") -> np.ndarray:
-        """Returns (2, n) velocities of an object's points."""
-        return self.engine.simulator.velocities(name)
-
-
-class GymnasiumVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
+class GymnasiumVectorEnv(Described, PerWorld, VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     """Many worlds of one task, stepped together; bodies must be equal.
 
-    `info` holds what it holds for `GymnasiumEnv`, with a row for each world (`physics` is the same for all).
+    `info` holds what it holds for `GymnasiumEnv`, with a row for each world.
 
     Args:
         task: A task or its id.
@@ -185,9 +187,9 @@ class GymnasiumVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         connections: (2, k) joined pairs of the one body.
         autoreset_mode: NEXT_STEP (the step after an end resets), SAME_STEP (ended worlds reset at once; the last
             observation and info are in `info`), or DISABLED (the caller resets with `options={"reset_mask": mask}`).
-        max_episode_steps: Cuts episodes earlier than the task's limit.
+        max_episode_steps: Env-steps after which an episode is cut; -1: none is. The task's `time_limit` by default.
         num_threads: Threads; all cores by default.
-        render_mode: "rgb_array" (`render` returns a tuple of pictures, one a world) or None.
+        render_mode: "rgb_array" or "img" (`render` returns a tuple of pictures, one a world), or None.
         material: As for `GymnasiumEnv`.
         stiffness: As for `GymnasiumEnv`.
         edge_rule: As for `GymnasiumEnv`.
@@ -196,7 +198,7 @@ class GymnasiumVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     """
 
     metadata: dict[str, Any] = {
-        "render_modes": ["rgb_array"],
+        "render_modes": ["rgb_array", "img"],
         "render_fps": FPS,
         "autoreset_mode": AutoresetMode.NEXT_STEP,
     }
@@ -216,7 +218,7 @@ class GymnasiumVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         edge_rule: str = "mean_factor",
         render_mode: str | None = None,
         render_options: Mapping[str, Any] | None = None,
-        physics: Physics | None = None,
+        physics: Physics | Mapping[str, float] | None = None,
     ) -> None:
         self.render_mode = _check_render_mode(render_mode, self.metadata)
         designs = as_bodies(body)
@@ -224,6 +226,8 @@ class GymnasiumVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             designs = [Body(design.grid, connections) for design in designs]
         if len(designs) not in (1, num_envs):
             raise ValueError(f"body: got {len(designs)}, expected 1 or num_envs = {num_envs}")
+        if max_episode_steps is not None and max_episode_steps < 1 and max_episode_steps != _NO_LIMIT:
+            raise ValueError(f"max_episode_steps: got {max_episode_steps}, allowed are 1 and more, or -1 for no limit")
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self.metadata = self.metadata | {"autoreset_mode": self.autoreset_mode}
         self.engine = TaskEngine(
@@ -233,18 +237,19 @@ class GymnasiumVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             material=material,
             stiffness=stiffness,
             edge_rule=edge_rule,
-            physics=physics,
+            physics=_as_physics(physics),
             num_threads=num_threads,
             with_voxels=False,
         )
         self.num_envs = num_envs
-        self._limit = max_episode_steps or self.engine.task.time_limit
+        self._limit = self.engine.task.time_limit if max_episode_steps is None else max_episode_steps
         self.single_observation_space, self.single_action_space = _single_spaces(self.engine)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._grid = _ActionGrid(self.engine, self.single_action_space.shape[0])
         self._ended = np.zeros(num_envs, bool)
-        self._renderer = Renderer(self.engine, **render_options or {}) if render_mode else None
+        self._renderer = make_renderer(self.engine, render_mode, render_options)
+        self.worlds = [VectorWorld(self, world) for world in range(num_envs)]
 
     def _observation(self) -> np.ndarray:
         flat = self.engine.flat
@@ -259,9 +264,10 @@ class GymnasiumVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             "score": engine.score.copy(),
             "return": engine.returns.copy(),
         }
-        info |= {f"_{key}": all_worlds.copy() for key in info}
-        changed = engine.simulator.physics.changed()
-        return info | {"physics": changed} if changed else info
+        changed = {name: np.full(self.num_envs, value) for name, value in engine.simulator.physics.changed().items()}
+        if changed:
+            info["physics"] = changed | {f"_{name}": all_worlds.copy() for name in changed}
+        return info | {f"_{key}": all_worlds.copy() for key in info}
 
     def reset(
         self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
@@ -291,7 +297,7 @@ class GymnasiumVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         if was_ended.any():
             engine.reset(was_ended)
         reward, terminated = engine.reward.copy(), engine.terminated.copy()
-        truncated = engine.truncated | (engine.length >= self._limit)
+        truncated = engine.length >= self._limit if self._limit != _NO_LIMIT else np.zeros(self.num_envs, bool)
         self._ended = terminated | truncated
         observation, info = self._observation(), self._info()
         if self.autoreset_mode == AutoresetMode.SAME_STEP and self._ended.any():
@@ -306,11 +312,25 @@ class GymnasiumVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         return observation, reward, terminated, truncated, info
 
     def render(self) -> tuple[np.ndarray, ...] | None:
-        """Returns a picture of each world, uint8 (height, width, 3), where `render_mode` is "rgb_array"."""
+        """Returns a picture of each world, uint8 (height, width, 3), where a `render_mode` was given."""
         if self._renderer is None:
             gymnasium.logger.warn("render: no render_mode was given to the environment")
             return None
         return tuple(self._renderer.frame(world) for world in range(self.num_envs))
+
+    def picture(self, world: int) -> np.ndarray | None:
+        """Returns a picture of one world, None where no `render_mode` was given."""
+        return None if self._renderer is None else self._renderer.frame(world)
+
+
+def _as_physics(physics: Physics | Mapping[str, float] | None) -> Physics | None:
+    if not isinstance(physics, Mapping):
+        return physics
+    known = [field.name for field in fields(Physics)]
+    unknown = [name for name in physics if name not in known]
+    if unknown:
+        raise ValueError(f"physics: got {unknown}, known are {known}")
+    return Physics(**physics)
 
 
 def _check_render_mode(mode: str | None, metadata: dict[str, Any]) -> str | None:

@@ -11,7 +11,7 @@ from evogymcm.body import Body
 from evogymcm.envs._human import Window
 from evogymcm.envs.core import TaskEngine
 from evogymcm.envs.designs import BodySpec, as_bodies
-from evogymcm.envs.render import FPS, Renderer
+from evogymcm.envs.render import FPS, make_renderer
 from evogymcm.envs.task import Task
 from evogymcm.envs.voxels import N_FEATURES, N_SIDES, N_TYPES
 from evogymcm.sim.constants import ACTUATION_HIGH, ACTUATION_LOW, STIFFNESS_HIGH, STIFFNESS_LOW, Physics
@@ -109,7 +109,7 @@ class BodiesParallelEnv(ParallelEnv[str, Observation, Action]):
         rows, columns = self.engine.grid_shape
         self._cells = (np.arange(rows)[:, None] * self.grid_shape[1] + np.arange(columns)).ravel()
         self._masks = [self._pad(flags.astype(np.int8)) for flags in (self.engine.occupancy, self.engine.actuators)]
-        self._renderer = Renderer(self.engine, **self._render_options) if self.render_mode else None
+        self._renderer = make_renderer(self.engine, self.render_mode, self._render_options)
 
     def _check_designs(self, designs: Sequence[Body]) -> None:
         if len(designs) != len(self.possible_agents):

@@ -1,14 +1,14 @@
 """Pictures of worlds: one, or a whole population side by side. No display is needed."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from evogymcm.envs import _palette as palette
 from evogymcm.envs._downscale import FINE, downscale
-from evogymcm.envs._drawing import Painter
+from evogymcm.envs._drawing import Painter, Shown
 from evogymcm.envs._extras import load_pygame
 from evogymcm.envs._legend import Legend
 from evogymcm.envs._scenery import Camera, Parts, make_parts, world_points
@@ -23,6 +23,9 @@ _PADDING = (5, 3)  # voxels around the robot, across and up, as in EvoGym
 _GRID_PADDING = (2, 1)  # ... in a population, where pictures are small
 _GRID_GAP = 2
 _NARROWEST_TILE, _SMALLEST = 48, 16
+_OPTIONS = ("width", "height", "view", "legend", "hide_background", "hide_edges", "hide_voxels")
+_WITHOUT_EFFECT = ("verbose", "hide_grid")  # EvoGym's: nothing is printed here, and there is no grid behind the robot
+_DRAWN = ("_pygame", "_font", "_strip", "_surfaces")  # what pygame made, which can be neither copied nor pickled
 
 
 class Renderer:
@@ -38,6 +41,9 @@ class Renderer:
         height: Pixels up.
         view: "types" or "stiffness".
         legend: Whether a strip below says what colours mean; by default in pictures at least 600 wide.
+        hide_background: Whether to leave out the implicit floor and the goal.
+        hide_edges: Whether to leave out outlines and the marks of actuators.
+        hide_voxels: Whether to leave the voxels unfilled.
 
     Raises:
         ImportError: pygame-ce is not installed.
@@ -52,23 +58,39 @@ class Renderer:
         view: str = "types",
         *,
         legend: bool | None = None,
+        hide_background: bool = False,
+        hide_edges: bool = False,
+        hide_voxels: bool = False,
     ) -> None:
         if view not in VIEWS:
             raise ValueError(f"view: got {view!r}, allowed are {VIEWS}")
         if min(width, height) < _SMALLEST:
             raise ValueError(f"size: got {width} x {height}, allowed are 16 x 16 and more")
         self.engine, self.width, self.height, self.view = engine, width, height, view
-        self._pygame = load_pygame()
-        self._pygame.font.init()
+        self._shown = Shown(not hide_background, not hide_edges, not hide_voxels)
         self._parts: dict[int, Parts] = {}  # by block
         self._cameras: dict[tuple[int, bool], Camera] = {}  # by world, and whether it is for the grid
-        self._surfaces: dict[tuple[int, int], Any] = {}
-        unit = max(1.0, min(width / 640, height / 320))
-        self._font = self._pygame.font.Font(None, round(_FONT * unit * FINE))
+        self._unit = max(1.0, min(width / 640, height / 320))
         has_legend = width >= _LEGEND_FROM and height >= 4 * _STRIP if legend is None else legend
-        strip_height = round(_STRIP * unit) if has_legend else 0
-        self._strip = self._make_strip(strip_height) if has_legend else None
-        self._scene_height = height - strip_height
+        self._strip_height = round(_STRIP * self._unit) if has_legend else 0
+        self._scene_height = height - self._strip_height
+        self._prepare()
+
+    def _prepare(self) -> None:
+        """Makes what belongs to pygame."""
+        self._pygame = load_pygame()
+        self._pygame.font.init()
+        self._surfaces: dict[tuple[int, int], Any] = {}
+        self._font = self._pygame.font.Font(None, round(_FONT * self._unit * FINE))
+        self._strip = self._make_strip(self._strip_height) if self._strip_height else None
+
+    def __getstate__(self) -> dict[str, Any]:
+        kept = {name: value for name, value in self.__dict__.items() if name not in _DRAWN}
+        return kept | {"_parts": {}}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._prepare()
 
     def frame(self, world: int = 0) -> np.ndarray:
         """Returns a picture of one world, uint8 (height, width, 3)."""
@@ -123,7 +145,7 @@ class Renderer:
         view = self._cameras[world, is_tile].follow(
             points[:, parts.followed], int(engine.length[world]), width / height
         )
-        painter = Painter(surface, view, self.view == "stiffness")
+        painter = Painter(surface, view, self.view == "stiffness", self._shown)
         painter.background(getattr(engine.task, "goal_x", None), getattr(engine.task, "goal_y", None))
         painter.squares(parts)
         painter.voxels(parts, points, engine.stiffness[world])
@@ -159,4 +181,22 @@ class Renderer:
         return strip
 
 
-__all__ = ["FPS", "VIEWS", "Renderer"]
+def make_renderer(engine: TaskEngine, mode: str | None, options: Mapping[str, Any] | None) -> Renderer | None:
+    """Returns what draws for an environment's `render_mode` and `render_options`; None where there is no mode.
+
+    Options are keywords of `Renderer`; those that only EvoGym knows have no effect.
+
+    Raises:
+        ImportError: There is a mode, and pygame-ce is not installed.
+        ValueError: For an option that neither knows, or as `Renderer`.
+    """
+    given = dict(options or {})
+    unknown = [name for name in given if name not in _OPTIONS + _WITHOUT_EFFECT]
+    if unknown:
+        raise ValueError(f"render_options: got {unknown}, allowed are {[*_OPTIONS, *_WITHOUT_EFFECT]}")
+    if mode is None:
+        return None
+    return Renderer(engine, **{name: value for name, value in given.items() if name in _OPTIONS})
+
+
+__all__ = ["FPS", "VIEWS", "Renderer", "make_renderer"]

@@ -120,7 +120,7 @@ def test_random_bodies(throughput):
 
 
 @pytest.mark.parametrize("material", ["invariant", "reactive"])
-@pytest.mark.parametrize("door", ["core", "simulator", "gymnasium", "torchrl", "collector", "pettingzoo"])
+@pytest.mark.parametrize("door", ["core", "simulator", "gymnasium", "torchrl", "collector", "pettingzoo", "sb3"])
 def test_every_door_runs(throughput, tiny, door, material, capsys):
     (row,) = rows_of(throughput, replace(tiny, through=door, material=material, pairs=1), capsys)
     assert row["env_steps_per_s"] > 0
@@ -161,6 +161,13 @@ def test_comparison_with_evogym(throughput, tiny, fake_evogym, capsys):
     assert len(row["pairs"]) == 3
     assert row["ratio"] == sorted(row["pairs"])[1]
     assert row["evogym_env_steps_per_s"] > 0
+
+
+@pytest.mark.slow
+def test_comparison_with_a_process_for_each_world(throughput, tiny, capsys):
+    (row,) = rows_of(throughput, replace(tiny, through="sb3", worlds=2, against_subproc=True), capsys)
+    assert len(row["pairs"]) == 3
+    assert row["subproc_env_steps_per_s"] > 0
 
 
 def test_an_interpreter_without_evogym_is_refused(throughput, tiny, tmp_path):

@@ -7,19 +7,25 @@ from itertools import pairwise
 import gymnasium
 import numpy as np
 import pytest
+from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
+from gymnasium.wrappers import TimeLimit
+from gymnasium.wrappers.vector import DictInfoToList
+from torchrl.envs import GymEnv
 
 import evogymcm as cm
 from evogymcm.envs import GymnasiumEnv, GymnasiumVectorEnv
+from evogymcm.envs import tasks as task_package
+from evogymcm.sim.constants import Physics
 from tests.envs.tools import PAPER_ROBOTS, SMALL, TALL, WIDE, make_engine, random_actions
 
-# Gymnasium advises to take the newest version; here versions are different tasks, as in EvoGym.
-pytestmark = pytest.mark.filterwarnings("ignore:.*is out of date:DeprecationWarning")
+pytestmark = pytest.mark.filterwarnings("error:.*is out of date:DeprecationWarning")  # v0 and v1 are different tasks
 
 MATERIALS = ("invariant", "reactive")
 GRID = cm.robots["Walk_Bot"].grid
 MODES = ("NextStep", "SameStep", "Disabled")
+IDLE = np.ones((2, 2, cm.robots["Walk_Bot"].n_actuators))  # actions of two steps of two worlds
 
 
 def make(task="Walker-v0", body="Walk_Bot", **options):
@@ -149,11 +155,67 @@ def test_points_and_velocities():
         env.unwrapped.points("package")
 
 
-def test_time_limit_truncates():
-    env = GymnasiumEnv(replace(cm.tasks["Walker-v0"], time_limit=3), SMALL)
+@pytest.fixture
+def short_task():
+    """A task of one's own whose episodes have four env-steps."""
+    task = cm.register_task(replace(cm.tasks["Walker-v0"], id="Short-v0", time_limit=4))
+    yield task
+    del task_package._REGISTRY[task.id], gymnasium.registry[f"evogymcm/{task.id}"]
+
+
+def steps_to_truncation(env, most=8):
+    """Env-steps of an idle episode until it is cut; None where it goes on."""
     env.reset()
-    ends = [env.step(np.ones(3))[2:4] for _ in range(3)]
-    assert ends == [(False, False), (False, False), (False, True)]
+    idle = np.ones(env.action_space.shape)
+    for step in range(1, most + 1):
+        _, reward, terminated, truncated, info = env.step(idle)
+        assert not np.any(terminated)
+        if np.all(truncated):
+            np.testing.assert_allclose(info["return"], info["score"] + reward, rtol=0, atol=1e-15)
+            return step
+    return None
+
+
+def test_max_episode_steps_rules_over_the_tasks_limit(short_task):
+    def limited(**options):
+        return make(short_task.id, SMALL, **options)
+
+    assert steps_to_truncation(limited()) == 4
+    assert steps_to_truncation(limited(max_episode_steps=3)) == 3
+    assert steps_to_truncation(limited(max_episode_steps=6)) == 6
+    assert steps_to_truncation(limited(max_episode_steps=-1)) is None
+    assert steps_to_truncation(TimeLimit(limited().unwrapped, 6)) == 6
+    assert steps_to_truncation(GymnasiumEnv(short_task, SMALL)) is None  # as EvoGym's classes
+    assert make(max_episode_steps=1000).spec.max_episode_steps == 1000
+
+
+def test_max_episode_steps_of_vector_environments(short_task):
+    def limited(**options):
+        return make_vec(short_task.id, SMALL, 2, **options)
+
+    assert steps_to_truncation(limited()) == 4
+    assert steps_to_truncation(limited(max_episode_steps=6)) == 6
+    assert steps_to_truncation(limited(max_episode_steps=-1)) is None
+    sync = gymnasium.make_vec(f"evogymcm/{short_task.id}", 2, "sync", body=SMALL, max_episode_steps=6)
+    assert steps_to_truncation(sync) == 6
+    for bad in (0, -2):
+        with pytest.raises(ValueError, match=rf"max_episode_steps: got {bad}.*-1 for no limit"):
+            limited(max_episode_steps=bad)
+
+
+def test_no_task_is_called_out_of_date():
+    versioned = [task for task in cm.tasks if f"{task[:-1]}1" in cm.tasks]
+    assert len(versioned) >= 12
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for task in versioned:
+            env = make(task, SMALL)
+            assert env.unwrapped.engine.task.id == task
+            assert gymnasium.make(env.spec).spec.id == f"evogymcm/{task}"
+        make_vec("CaveCrawler-v0", num_envs=1)
+    for unknown in ("CaveCrawler-v7", "Climber-v3"):
+        with pytest.raises(gymnasium.error.UnregisteredEnv, match=unknown[-2:]):
+            make(unknown)
 
 
 def test_score_and_return_at_the_end():
@@ -167,6 +229,95 @@ def test_score_and_return_at_the_end():
     assert truncated
     np.testing.assert_allclose(info["return"], sum(rewards), rtol=0, atol=1e-15)
     np.testing.assert_allclose(info["score"], sum(rewards[:-1]), rtol=0, atol=1e-15)
+
+
+def test_info_of_one_world_holds_numpy_values():
+    env = make()
+    _, info = env.reset()
+    assert [type(info[key]) for key in ("unstable", "score", "return")] == [np.bool_, np.float64, np.float64]
+    assert {key: value.dtype for key, value in env.step(env.action_space.sample())[4].items()} == {
+        key: value.dtype for key, value in info.items()
+    }
+    rollout = GymEnv("evogymcm/Walker-v0", body=SMALL).auto_register_info_dict().rollout(3)
+    assert rollout["next", "return"].shape == (3,)
+    assert rollout["next", "com"].shape == (3, 2)
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_infos_of_vector_environments_become_lists(mode):
+    vec = make_vec(num_envs=2, max_episode_steps=2, autoreset_mode=mode, physics={"gravity": 50.0})
+    env, one = DictInfoToList(vec), make(physics={"gravity": 50.0}, max_episode_steps=2)
+    for infos, info in ((env.reset()[1], one.reset()[1]), *((env.step(a)[4], one.step(a[0])[4]) for a in IDLE)):
+        finals = [each.get("final_info", each) for each in infos]
+        assert [each["physics"] for each in finals] == [{"gravity": 50.0}] * 2
+        for final in finals:
+            assert final.keys() == info.keys()
+            np.testing.assert_equal(final["return"], info["return"])
+    assert ("final_info" in infos[0]) == (mode == "SameStep")
+
+
+def same_values(got, expected):
+    """Both are trees of the same keys, dtypes and values."""
+    assert got.keys() == expected.keys()
+    for key, value in expected.items():
+        if isinstance(value, dict):
+            same_values(got[key], value)
+        elif value.dtype != object:
+            assert got[key].dtype == value.dtype, key
+            np.testing.assert_array_equal(got[key], value, err_msg=key)
+
+
+def test_vector_environments_answer_as_gymnasiums_own():
+    options = {"body": SMALL, "physics": {"gravity": 50.0}, "render_mode": "rgb_array"}
+    options["render_options"] = {"width": 64, "height": 32}
+    vec = make_vec(num_envs=2, **options)
+    sync = gymnasium.make_vec("evogymcm/Walker-v0", 2, "sync", **options)
+    for envs in (vec, sync):
+        envs.reset(seed=0)
+        envs.step(np.array([[0.6, 1.6, 1.0], [1.6, 0.6, 1.0]]))
+        envs.set_attr("mark", ["a", "b"])
+        envs.set_attr("common", 7)
+    same_values(vec.reset(seed=1)[1], sync.reset(seed=1)[1])
+    assert vec.get_attr("mark") == sync.get_attr("mark") == ("a", "b")
+    assert vec.get_attr("common") == (7, 7)
+    for name in ("render_mode", "action_space", "observation_space"):
+        assert vec.get_attr(name) == sync.get_attr(name)
+    for call in (
+        ("render",),
+        ("points", "robot"),
+        ("get_pos_com_obs", "ground"),
+        ("get_floor_obs", "robot", ["ground"], 2),
+    ):
+        np.testing.assert_array_equal(vec.call(*call), sync.call(*call))
+    with pytest.raises(AttributeError, match="nonsense"):
+        vec.call("nonsense")
+    with pytest.raises(ValueError, match="got 3, expected one for each of 2"):
+        vec.set_attr("mark", [1, 2, 3])
+
+
+def test_specs_with_bodies_and_arrays_are_json():
+    body = cm.Body("HHH/VVV", connections=[[0, 1, 0, 3, 4], [1, 2, 3, 4, 5]])
+    field = np.random.default_rng(0).uniform(0.5, 2.0, body.shape)
+    options = {"body": body, "stiffness": field, "physics": Physics(gravity=50.0), "max_episode_steps": 900}
+    env = TimeLimit(make(**options), 800)
+    again = gymnasium.make(EnvSpec.from_json(env.spec.to_json()))
+    assert again.spec.max_episode_steps == 800
+    vec = make_vec(num_envs=2, **options)
+    vec_again = gymnasium.make_vec(EnvSpec.from_json(vec.spec.to_json()))
+    assert vec_again.num_envs == 2
+    grid = make(body=body.grid, connections=body.connections, stiffness=field, physics={"gravity": 50.0})
+    grid_again = gymnasium.make(EnvSpec.from_json(grid.spec.to_json()))
+    action = np.full(body.n_actuators, 1.4)
+    env.reset()
+    expected = env.step(action)[0]
+    for other in (again, grid, grid_again):
+        other.reset()
+        np.testing.assert_array_equal(other.step(action)[0], expected)
+    vec_again.reset()
+    np.testing.assert_array_equal(vec_again.step(np.stack([action] * 2))[0], np.stack([expected] * 2))
+    assert gymnasium.spec("evogymcm/Walker-v0").to_json()
+    with pytest.raises(ValueError, match=r"physics: got \['mass'\], known are.*gravity"):
+        make(physics={"mass": 1.0})
 
 
 @pytest.mark.parametrize("material", MATERIALS)
@@ -312,6 +463,7 @@ def test_vector_of_one_body_for_each_world():
         ({"edge_rule": "mean"}, "mean_factor"),
         ({"connections": [[0], [9]]}, "connection"),
         ({"render_mode": "holograph"}, "holograph"),
+        ({"render_options": {"hide_sun": True}}, "hide_sun.*hide_edges"),
     ],
 )
 def test_bad_arguments_are_named(options, message):

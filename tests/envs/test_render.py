@@ -1,5 +1,7 @@
 """Pictures, videos, and the adapters' render modes. All without a display."""
 
+import copy
+import pickle
 import runpy
 import sys
 from pathlib import Path
@@ -16,7 +18,7 @@ from torchrl.record.loggers.csv import CSVLogger
 from evogymcm import tasks
 from evogymcm.__main__ import main
 from evogymcm.algos import make_actor
-from evogymcm.envs import SoftRobotEnv, sine_gait
+from evogymcm.envs import SoftRobotEnv, parallel_env, population_env, sine_gait
 from evogymcm.envs import _palette as palette
 from evogymcm.envs._downscale import downscale
 from evogymcm.envs.render import Renderer
@@ -215,6 +217,53 @@ def test_gymnasium_render_modes():
     assert pygame.display.get_surface().get_size() == (200, 320)
     assert human.render() is None
     human.close()
+    assert pygame.display.get_surface() is None
+
+
+SIZE = {"width": 64, "height": 32}
+WITH_PICTURES = {
+    "gymnasium": lambda options: gymnasium.make("evogymcm/Walker-v0", body=SMALL, **options),
+    "vector": lambda options: gymnasium.make_vec("evogymcm/Walker-v0", 2, body=SMALL, num_threads=1, **options),
+    "pettingzoo": lambda options: parallel_env("Walker-v0", [SMALL, TALL], num_threads=1, **options),
+    "torchrl": lambda options: SoftRobotEnv("Walker-v0", [SMALL, TALL], num_threads=1),
+    "population": lambda options: population_env("Walker-v0", [SMALL, TALL], num_threads=1),
+}
+
+
+def pickled(env):
+    return pickle.loads(pickle.dumps(env))
+
+
+@pytest.mark.parametrize("copied", [copy.deepcopy, pickled])
+@pytest.mark.parametrize("adapter", WITH_PICTURES)
+def test_environments_that_have_rendered_can_be_copied(adapter, copied):
+    env = WITH_PICTURES[adapter]({"render_mode": "rgb_array", "render_options": SIZE})
+    size = SIZE if isinstance(env, torch.nn.Module) else {}
+    env.reset()
+    for _ in range(2):
+        walk(getattr(env, "unwrapped", env).engine, 3)
+        before = env.render(**size)
+        other = copied(env)
+        np.testing.assert_array_equal(other.render(**size), before)
+        for each in (env, other):
+            walk(getattr(each, "unwrapped", each).engine, 5)  # the copy's camera lags behind as the original's does
+        np.testing.assert_array_equal(other.render(**size), env.render(**size))
+        assert (np.asarray(env.render(**size)) != np.asarray(before)).any()
+        env = other
+
+
+@pytest.mark.parametrize("copied", [copy.deepcopy, pickled])
+def test_environments_with_a_window_can_be_copied(copied):
+    env = gymnasium.make("evogymcm/Walker-v0", body=SMALL, render_mode="screen", render_options=SIZE)
+    env.reset()
+    idle = np.ones(env.action_space.shape)
+    env.step(idle)
+    other = copied(env)
+    np.testing.assert_array_equal(other.step(idle)[0], env.step(idle)[0])
+    other.close()
+    env.step(idle)  # opens the one window anew, which the copy has closed
+    assert pygame.display.get_surface().get_size() == (64, 32)
+    env.close()
     assert pygame.display.get_surface() is None
 
 
