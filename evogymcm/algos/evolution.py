@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from evogymcm.algos.design_search import DesignSearch
 from evogymcm.algos.designs import Design, Individual, check_mutation, mutate_design
-from evogymcm.algos.settings import check_count
+from evogymcm.algos.settings import check_count, check_numbers
 from evogymcm.body import SAMPLE_WEIGHTS
 
 __all__ = [
@@ -251,6 +251,8 @@ class HalvingSchedule:
     keep: tuple[float, ...] = (0.5, 0.5)
 
     def __post_init__(self) -> None:
+        for name in ("rungs", "keep"):
+            object.__setattr__(self, name, check_numbers(name, getattr(self, name)))
         bounds = (0.0, *self.rungs, 1.0)
         if not all(low < high for low, high in pairwise(bounds)):
             raise ValueError(f"rungs: got {self.rungs}, expected rising shares of the budget, above 0 and below 1")

@@ -20,10 +20,13 @@ from evogymcm.algos.design_search import Design, Individual
 from evogymcm.algos.evaluate import Evaluation, evaluate
 from evogymcm.algos.material_search import MaterialSearch
 from evogymcm.algos.runs import RunFolder
+from evogymcm.algos.settings import check_choice, check_count
 from evogymcm.algos.sharing import PerDesign, stack_states, take_state
 from evogymcm.algos.trainer import limited_threads
 from evogymcm.algos.training import Progress, TrainResult, train
 from evogymcm.envs import SoftRobotEnv
+from evogymcm.envs.designs import MATERIALS
+from evogymcm.sim.scene import EDGE_RULES
 
 __all__ = [
     "Arena",
@@ -48,7 +51,10 @@ class Arena:
         task: id of the task.
         material: "reactive" or "invariant".
         edge_rule: how stiffness acts on shared edges.
-        num_threads: of the simulator.
+        num_threads: of the simulator; None for all cores.
+
+    Raises:
+        ValueError: There is no such material or rule, or no thread.
     """
 
     task: str
@@ -56,11 +62,17 @@ class Arena:
     edge_rule: str = "mean_factor"
     num_threads: int | None = 1
 
+    def __post_init__(self) -> None:
+        check_choice("material", self.material, MATERIALS)
+        check_choice("edge_rule", self.edge_rule, EDGE_RULES)
+        if self.num_threads is not None:
+            check_count("num_threads", self.num_threads)
+
     def make(self, designs: Sequence[Design], copies: int = 1, seed: int = 0) -> SoftRobotEnv:
         """Returns the worlds of a population: `copies` of each design, world w holding design w % D.
 
         Raises:
-            ValueError: There is no such task, material or rule, or a body does not fit into the task's world.
+            ValueError: There is no such task, or a body does not fit into the task's world.
         """
         fields = None if self.material == "reactive" else [design.field for design in designs]
         return SoftRobotEnv(
@@ -214,7 +226,12 @@ def score_alone(arena: Arena, designs: Sequence[Design], policies: Sequence[Poli
         designs: D designs.
         policies: D policies.
         seed: of tasks with random resets; each design is played from the same reset.
+
+    Raises:
+        ValueError: There are not as many policies as designs.
     """
+    if len(policies) != len(designs):
+        raise ValueError(f"policies: got {len(policies)}, expected one for each of {len(designs)} designs")
     env = arena.make_alike(designs, seed)
     with limited_threads(1):
         return evaluate(_OneByOne(_actors(policies, env.grid_shape[1])), env)
@@ -231,7 +248,12 @@ def score_together(
         policies: P policies.
         copies: designs of each policy.
         seed: of tasks with random resets; each design is played from the same reset.
+
+    Raises:
+        ValueError: There are not `copies` designs of each policy.
     """
+    if copies * len(policies) != len(designs):
+        raise ValueError(f"policies: got {len(policies)}, expected 1 for {copies} each of {len(designs)} designs")
     env = arena.make_alike(designs, seed)
     actor = load_actor(_together(policies, "independent"))
     actor.columns = env.grid_shape[1]

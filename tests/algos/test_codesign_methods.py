@@ -39,7 +39,7 @@ def ways():
         yield pytest.param(*way, marks=pytest.mark.slow) if way in more else way
 
 
-@pytest.mark.parametrize(("method", "inherit", "sharing"), ways())
+@pytest.mark.parametrize(("method", "inherit", "sharing"), list(ways()))
 def test_every_method_runs_or_says_why_not(method, inherit, sharing, tmp_path):
     if method == "qd":
         pytest.importorskip("ribs")
@@ -89,6 +89,9 @@ def test_a_shared_policy_cannot_start_from_several():
         train_designs(arena, designs, shared, start_from=apart)
     with pytest.raises(ValueError, match="start_from: got 1 policies, expected one for each of 2 designs"):
         train_designs(arena, designs, shared, start_from=apart[:1])
+    for scored in (lambda: score_alone(arena, designs, apart[:1]), lambda: score_together(arena, designs, apart, 2)):
+        with pytest.raises(ValueError, match=r"policies: got \d, expected"):
+            scored()
     assert train_designs(arena, designs, shared, start_from=[apart[0], dict(apart[0])]).finished
 
 

@@ -11,6 +11,7 @@ import pytest
 from evogymcm.algos import BodyPPOConfig, PPOConfig, RunFolder
 from evogymcm.algos.codesign import CodesignConfig, SearchConfig, codesign
 from evogymcm.algos.evolution import GeneticAlgorithm, RandomSearch
+from evogymcm.algos.generation import Arena
 from evogymcm.algos.parallel import codesign_all
 
 CONFIGS = (PPOConfig(), BodyPPOConfig(), SearchConfig(), CodesignConfig())
@@ -143,3 +144,6 @@ def test_optimisers_check_their_numbers():
             GeneticAlgorithm(**({"shape": (3, 3), "population": 3, "budget": 6, "seed": 0} | arguments))
     with pytest.raises(ValueError, match="batch: got '3'"):
         RandomSearch((3, 3), 6, "3", seed=0)
+    for arguments in (("reactiv",), ("invariant", "mean"), ("invariant", "mean_factor", 0)):
+        with pytest.raises(ValueError, match=r"material: got|edge_rule: got|num_threads: got 0"):
+            Arena("Walker-v0", *arguments)
