@@ -7,7 +7,7 @@ from itertools import pairwise
 from evogymcm.algos.codesign_config import CodesignConfig
 from evogymcm.algos.evolution import survivor_count
 from evogymcm.algos.ppo import PPOConfig
-from evogymcm.envs.tasks import tasks
+from evogymcm.envs.tasks import as_task
 
 __all__ = ["Cost", "cost_of", "generations"]
 
@@ -57,8 +57,12 @@ def _training(ppo: PPOConfig, bodies: int, limit: int) -> tuple[int, int]:
 
 
 def cost_of(config: CodesignConfig) -> Cost:
-    """Returns what a run takes where no episode ends before its time limit and no max_env_steps ends the run."""
-    limit = tasks[config.task].time_limit
+    """Returns what a run takes where no episode ends before its time limit and no max_env_steps ends the run.
+
+    Raises:
+        ValueError: There is no such task.
+    """
+    limit = as_task(config.task).time_limit
     halving = config.halving()
     training = scoring = screening = search = finetuning = 0
     for generation, (new, survivors) in enumerate(generations(config)):

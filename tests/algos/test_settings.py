@@ -10,6 +10,7 @@ import pytest
 
 from evogymcm.algos import BodyPPOConfig, PPOConfig, RunFolder
 from evogymcm.algos.codesign import CodesignConfig, SearchConfig, codesign
+from evogymcm.algos.codesign_cost import cost_of
 from evogymcm.algos.evolution import GeneticAlgorithm, RandomSearch
 from evogymcm.algos.generation import Arena
 from evogymcm.algos.parallel import codesign_all
@@ -118,7 +119,7 @@ class Untouched(Executor):
 
 @pytest.mark.parametrize(
     ("changes", "message"),
-    [({"task": "Nope-v0"}, "Nope-v0"), ({"task": "Climber-v0", "shape": (5, 9)}, "does not fit")],
+    [({"task": "Nope-v0"}, "task: got 'Nope-v0'"), ({"task": "Climber-v0", "shape": (5, 9)}, "does not fit")],
 )
 def test_a_run_that_cannot_start_is_refused_before_any_work(changes, message, tmp_path):
     config = CodesignConfig(**changes)
@@ -131,6 +132,9 @@ def test_a_run_that_cannot_start_is_refused_before_any_work(changes, message, tm
     with pytest.raises(ValueError, match="executor: got 4, expected a concurrent"):
         list(codesign_all({"good": CodesignConfig()}, tmp_path, 4))
     assert [path.name for path in tmp_path.iterdir()] == ["run"]
+    if "task" in message:
+        with pytest.raises(ValueError, match=message):
+            cost_of(config)
 
 
 def test_optimisers_check_their_numbers():
