@@ -8,18 +8,12 @@ from typing import Any
 import numpy as np
 from _suite import PAPER
 
-from evogymcm.algos import PPOConfig, RunFolder
+from evogymcm.algos import BodyPPOConfig, RunFolder
 from evogymcm.algos.codesign import CodesignConfig, SearchConfig, codesign
 from evogymcm.algos.codesign_cost import cost_of
 
 EXPERIMENTS: Mapping[str, tuple[str, str]] = {"B": ("fixed", "reactive"), "C": ("prescribed", "invariant")}
 PUBLISHED_BODIES = 100  # trained in all by published runs of EvoGym's genetic algorithm
-
-
-def _body_budget(env_steps: int, **changes: Any) -> PPOConfig:
-    """Returns the inner loop of one body."""
-    settings = {"num_worlds": 16, "minibatch": 128, "eval_interval": 10_000, "sharing": "independent"}
-    return PPOConfig(total_steps=env_steps, **settings | changes)
 
 
 @dataclass(frozen=True)
@@ -117,7 +111,7 @@ def _suite(
 
 
 _SMALL = CodesignConfig(
-    population=6, budget=1000, max_env_steps=600_000, finetune_steps=4_096, ppo=_body_budget(25_000)
+    population=6, budget=1000, max_env_steps=600_000, finetune_steps=4_096, ppo=BodyPPOConfig(total_steps=25_000)
 )
 _SHORTCUTS = replace(  # policy inheritance and successive halving: lineages learn on, the worse half is dropped early
     _SMALL,
@@ -127,7 +121,7 @@ _SHORTCUTS = replace(  # policy inheritance and successive halving: lineages lea
     inherit=True,
     rungs=(0.3,),
     keep=(0.5,),
-    ppo=_body_budget(50_000),
+    ppo=BodyPPOConfig(total_steps=50_000),
 )
 _SCREENING = replace(  # and children chosen from mutants, so that fewer need be trained
     _SHORTCUTS,
@@ -137,10 +131,14 @@ _SCREENING = replace(  # and children chosen from mutants, so that fewer need be
     mutants=8,
     rungs=(0.25,),
     keep=(0.3,),
-    ppo=_body_budget(40_960),
+    ppo=BodyPPOConfig(total_steps=40_960),
 )
 _MEDIUM = replace(
-    _SMALL, population=12, max_env_steps=10_000_000, finetune_steps=10_000, ppo=_body_budget(200_000, num_worlds=32)
+    _SMALL,
+    population=12,
+    max_env_steps=10_000_000,
+    finetune_steps=10_000,
+    ppo=BodyPPOConfig(total_steps=200_000, num_worlds=32),
 )
 _PAPER = replace(
     _SMALL,
@@ -148,9 +146,9 @@ _PAPER = replace(
     budget=100,
     max_env_steps=None,
     finetune_steps=10_000,
-    ppo=_body_budget(1_000_000, num_worlds=64, minibatch=512),
+    ppo=BodyPPOConfig(total_steps=1_000_000, num_worlds=64, minibatch=512),
 )
-_QUICK = replace(_SMALL, max_env_steps=150_000, ppo=_body_budget(10_000))
+_QUICK = replace(_SMALL, max_env_steps=150_000, ppo=BodyPPOConfig(total_steps=10_000))
 _HUNDRED = replace(_SMALL, budget=PUBLISHED_BODIES, max_env_steps=None, inherit=True)
 _HUNDRED_REACTIVE = replace(  # all learn for 80,000 env-steps, then the best fifth for 160,000 more
     _HUNDRED,
@@ -158,7 +156,7 @@ _HUNDRED_REACTIVE = replace(  # all learn for 80,000 env-steps, then the best fi
     inherit_std=0.6,
     rungs=(1 / 3,),
     keep=(0.2,),
-    ppo=_body_budget(240_000, num_worlds=32, eval_interval=20_000),
+    ppo=BodyPPOConfig(total_steps=240_000, num_worlds=32, eval_interval=20_000),
 )
 _HUNDRED_INVARIANT = replace(  # fewer env-steps of training; survivors are searched and trained on
     _HUNDRED,
@@ -166,7 +164,7 @@ _HUNDRED_INVARIANT = replace(  # fewer env-steps of training; survivors are sear
     rungs=(0.125, 0.3),
     keep=(0.4, 0.3),
     finetune_steps=20_000,
-    ppo=_body_budget(160_000, num_worlds=32),
+    ppo=BodyPPOConfig(total_steps=160_000, num_worlds=32),
 )
 _HUNDRED_EXPLORING = replace(  # wide exploration at first, and more than their parent's in children
     _HUNDRED,
@@ -176,7 +174,7 @@ _HUNDRED_EXPLORING = replace(  # wide exploration at first, and more than their 
     keep=(1 / 3,),
     search=SearchConfig(rounds=4, candidates=4),
     finetune_steps=10_000,
-    ppo=_body_budget(160_000, num_worlds=32, initial_std=2.0),
+    ppo=BodyPPOConfig(total_steps=160_000, num_worlds=32, initial_std=2.0),
 )
 _HUNDRED_SCREENING = replace(_HUNDRED_EXPLORING, mutants=64)  # children are chosen by their parent's policy
 _HUNDRED_SPARSE = replace(  # for low ceilings: bodies of few voxels, a long horizon and exploration that lasts
@@ -187,7 +185,7 @@ _HUNDRED_SPARSE = replace(  # for low ceilings: bodies of few voxels, a long hor
     inherit_std=1.5,
     rungs=(0.4,),
     keep=(0.5,),
-    ppo=_body_budget(160_000, num_worlds=32, gamma=0.999, initial_std=2.0, final_std=0.6),
+    ppo=BodyPPOConfig(total_steps=160_000, num_worlds=32, gamma=0.999, initial_std=2.0, final_std=0.6),
 )
 
 PRESETS: Mapping[str, CodesignSuite] = {

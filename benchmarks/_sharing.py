@@ -9,8 +9,7 @@ import numpy as np
 import torch
 
 from evogymcm import Body, sample_body
-from evogymcm.algos import PPOConfig, RunFolder, make_actor
-from evogymcm.algos.codesign import CodesignConfig
+from evogymcm.algos import BodyPPOConfig, PPOConfig, RunFolder, make_actor
 from evogymcm.algos.designs import Design
 from evogymcm.algos.generation import Arena, Policy, Trained, score_alone, train_designs
 from evogymcm.envs.tasks import as_task
@@ -78,14 +77,14 @@ class Experiment:
         designs = [Design(body) for body in drawn]
         return {"seen": designs[: self.bodies], "unseen": designs[self.bodies :]}
 
-    def ppo(self, policy: str) -> PPOConfig:
+    def ppo(self, policy: str) -> BodyPPOConfig:
         """Returns how a policy of `ARMS` is trained: the settings of one body, as `train_designs` takes them.
 
         Fine-tuning goes on from where the schedules ended, as in co-design: less exploration, a lower learning rate.
         """
         is_first = policy in ORDER["seen"]
         steps = -(-self.total_steps // self.bodies) if is_first else self.finetune_steps
-        config = PPOConfig(
+        config = BodyPPOConfig(
             total_steps=steps,
             num_worlds=self.worlds,
             eval_interval=max(1, steps // _EVALUATIONS["seen" if is_first else "unseen"]),
@@ -94,11 +93,10 @@ class Experiment:
             seed=self.seed,
         )
         if policy == "shared":
-            return replace(config, minibatch=max(1, _MINIBATCH // self.bodies))
-        config = replace(config, sharing="independent", minibatch=max(1, config.frames_per_update // 4))
+            return replace(config, sharing="shared", minibatch=max(1, _MINIBATCH // self.bodies))
+        config = replace(config, minibatch=max(1, config.frames_per_update // 4))
         if policy == "fine-tuned":
-            tuning = CodesignConfig(ppo=config, finetune_steps=steps).finetuning()
-            return replace(tuning, eval_interval=config.eval_interval)
+            return replace(config.finetuning(steps), eval_interval=config.eval_interval)
         return config
 
     @property

@@ -1,6 +1,7 @@
 """Learning: a policy shared by all voxels, PPO, evaluation, run folders."""
 
 from evogymcm.algos.actor import Actor, MLPActor, VoxelActor, load_actor, make_actor
+from evogymcm.algos.body_ppo import BodyPPOConfig
 from evogymcm.algos.critic import MLPCritic, VoxelCritic, make_critic
 from evogymcm.algos.distributions import MaskedClippedNormal, VoxelActions
 from evogymcm.algos.evaluate import Evaluation, evaluate
@@ -13,6 +14,7 @@ from evogymcm.algos.training import Progress, TrainResult, train
 
 __all__ = [
     "Actor",
+    "BodyPPOConfig",
     "EnvFactory",
     "Evaluation",
     "MLPActor",

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from evogymcm.algos.design_search import DesignSearch
 from evogymcm.algos.designs import Design, Individual, check_mutation, mutate_design
+from evogymcm.algos.settings import check_count, check_number, check_pair
 from evogymcm.algos.stiffness_proposals import perturb_stiffness
 from evogymcm.body import SAMPLE_WEIGHTS, STIFFNESS_HIGH, STIFFNESS_LOW
 
@@ -75,12 +76,13 @@ class MapElites(DesignSearch):
             from ribs.archives import GridArchive
         except ImportError as error:
             raise ImportError("MapElites needs pyribs: pip install evogymcm[qd]") from error
-        initial = batch if initial is None else initial
-        if min(batch, initial, *dims) < 1 or len(dims) != 2:
-            raise ValueError(f"got batch={batch}, initial={initial}, dims={dims}; expected at least 1, and two dims")
-        check_mutation(mutation_rate, attempts)
-        if not 0.0 <= probability <= 1.0 or not 0.0 <= sigma < np.inf:
-            raise ValueError(f"got probability={probability}, sigma={sigma}; expected 0 to 1, and at least 0")
+        batch = check_count("batch", batch)
+        initial = batch if initial is None else check_count("initial", initial)
+        across, down = check_pair("dims", dims)
+        dims = check_count("dims", across), check_count("dims", down)
+        mutation_rate, attempts = check_mutation(mutation_rate, attempts)
+        probability = check_number("probability", probability, low=0.0, high=1.0)
+        sigma = check_number("sigma", sigma, low=0.0)
         settings = {
             "batch": batch,
             "initial": initial,
@@ -104,6 +106,11 @@ class MapElites(DesignSearch):
         """The best individual of each kind found so far, best first."""
         indices = set(self.archive.data("solution")[:, 0].astype(int).tolist())
         return [individual for individual in self.population if individual.index in indices]
+
+    @property
+    def parents(self) -> list[Individual]:
+        """All whose fitness is told: an elite that moves to another kind may give way to one that it had displaced."""
+        return [individual for individual in self.population if individual.fitness is not None]
 
     def update(self, index: int, *, stiffness: ArrayLike | None = None, fitness: float | None = None) -> None:
         """Replaces a survivor's stiffness, fitness or both, see `DesignSearch.update`; its kind may change by it."""

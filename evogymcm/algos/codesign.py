@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from evogymcm.algos.body_ppo import BodyPPOConfig
 from evogymcm.algos.codesign_config import ARMS, CodesignConfig, SearchConfig
 from evogymcm.algos.design_search import Design, Individual
 from evogymcm.algos.evolution import GeneticAlgorithm
@@ -27,12 +28,13 @@ from evogymcm.algos.generation import (
 )
 from evogymcm.algos.ledger import Ledger
 from evogymcm.algos.material_search import MaterialSearch
-from evogymcm.algos.ppo import PPOConfig
 from evogymcm.algos.runs import RunFolder, stop_on_interrupt
+from evogymcm.algos.seeding import derived_seed
 
 __all__ = ["ARMS", "Codesign", "CodesignConfig", "CodesignProgress", "CodesignResult", "SearchConfig", "codesign"]
 
 _STATE = "codesign"
+_TRAIN, _SEARCH, _FINETUNE = 0, 1, 2  # stages of a generation with draws of their own
 _SCREENED = 8  # mutants of a child that are played at a time, between looks whether to stop
 
 
@@ -84,9 +86,13 @@ class Codesign:
     Args:
         config: settings.
         run: where everything is kept; None keeps it in memory.
+
+    Raises:
+        ValueError: A run of these settings cannot start, see `CodesignConfig.check`.
     """
 
     def __init__(self, config: CodesignConfig, run: RunFolder | None = None) -> None:
+        config.check()
         self.config, self.run = config, run
         self.arena, self.search = config.make_arena(), config.make_search()
         self.env_steps, self.phase = 0, "train"
@@ -121,12 +127,19 @@ class Codesign:
         }
         done = phases[self.phase]()
         if done:
-            self.ledger.keep({individual.index for individual in self.search.survivors})
+            needed = self.search.survivors if self.run else self.search.parents  # a folder has those of all
+            self.ledger.keep({individual.index for individual in needed})
             if self.run:
                 self.run.save(_STATE, self._state())
-                for checkpoint in self.run.path.glob("generation-*/*.pt"):
+                for checkpoint in self.run.path.glob("generation-*/**/*.pt"):
                     checkpoint.unlink()  # their policies are kept; the learning curves stay
         return done
+
+    @property
+    def generation(self) -> int:
+        """The generation that the present phase works on, counted from 0."""
+        # The search counts on when fitness is told; its survivors are then searched and fine-tuned.
+        return self.search.generation - (self.phase in ("search", "finetune"))
 
     @property
     def _first_phase(self) -> str:
@@ -134,39 +147,52 @@ class Codesign:
         return "screen" if self.config.mutants > 1 and self.search.generation else "train"
 
     def _report(self, steps: int = 0) -> None:
-        place = (self.search.generation, self.phase, self.env_steps + steps, self.search.n_designs)
+        place = (self.generation, self.phase, self.env_steps + steps, self.search.n_designs)
         self._tell(CodesignProgress(*place, self.ledger.best))
 
     def _design(self, individual: Individual) -> Design:
         """Returns the design as it is simulated in this arm."""
         return individual.design.in_arm(self.config.arm, self.config.prescribed)
 
-    def _folder(self, name: str) -> RunFolder | None:
+    def _folder(self, name: str, seed: int) -> RunFolder | None:
         """Returns the folder of a training, gone on with where there is one."""
         if self.run is None:
             return None
-        path = self.run.path / f"generation-{self.search.generation:03}-{name}"
-        return RunFolder(path, {"generation": self.search.generation, "phase": name}, resume=path.exists())
+        path = self.run.path / f"generation-{self.generation:03}" / name
+        return RunFolder(path, {"generation": self.generation, "phase": name, "seed": seed}, resume=path.exists())
+
+    def _seed(self, stage: int, part: int = 0) -> int:
+        """Returns the seed of a stage of the present generation."""
+        return derived_seed(self.config.seed, self.generation, stage, part)
 
     def _learn(
-        self, name: str, designs: list[Design], ppo: PPOConfig, start_from: list[Policy] | None, spent: int
+        self, name: str, designs: list[Design], ppo: BodyPPOConfig, start_from: list[Policy] | None, spent: int
     ) -> Trained:
         """Trains designs together; `spent` env-steps of the phase have gone before."""
         return train_designs(
             self.arena,
             designs,
-            replace(ppo, seed=self.config.seed + 1000 * self.search.generation),
-            run=self._folder(name),
+            ppo,
+            run=self._folder(name, ppo.seed),
             start_from=start_from,
             progress=lambda state: self._report(spent + state.env_steps),
             should_stop=self._is_stopped,
         )
 
+    def _inherited(self, new: list[Individual]) -> list[Policy] | None:
+        """Returns the policies that new individuals start from, None for fresh ones."""
+        parents = [individual.parent for individual in new if individual.parent is not None]
+        if not self.config.inherit or len(parents) < len(new):  # a generation is all random, or all mutants
+            return None
+        policies = [self.ledger.policy(parent) for parent in parents]
+        std = self.config.inherit_std
+        return policies if std is None else [exploring(policy, std) for policy in policies]
+
     def _screen(self) -> bool:
         """Plays mutants under their parents' controllers, and takes the best of each child."""
         assert isinstance(self.search, GeneticAlgorithm)
         mutants = self.search.mutants(self.config.mutants)
-        policies = [self.ledger.policies[index] for group in mutants if (index := group[0].parent) is not None]
+        policies = [self.ledger.policy(index) for group in mutants if (index := group[0].parent) is not None]
         designs = [[self._design(individual) for individual in group] for group in mutants]
         scores, steps = [], 0
         for begin in range(0, self.config.mutants, _SCREENED):
@@ -188,15 +214,12 @@ class Codesign:
         designs = [self._design(individual) for individual in new]
         policies: dict[int, Policy] = {}
         scores = np.full(len(new), -np.inf)
-        start = None
-        if self.config.inherit and all(individual.parent is not None for individual in new):
-            start = [self.ledger.policies[individual.parent] for individual in new if individual.parent is not None]
-            if self.config.inherit_std is not None:
-                start = [exploring(policy, self.config.inherit_std) for policy in start]
+        start = self._inherited(new)
         bounds, steps = (0.0, *schedule.rungs, 1.0), 0
         for rung, (begin, end) in enumerate(pairwise(bounds)):
             total = max(1, round(self.config.ppo.total_steps * (end - begin)))
-            ppo = replace(self.config.ppo, total_steps=total, schedule=(begin, end))
+            seed = self._seed(_TRAIN, rung)
+            ppo = replace(self.config.ppo, total_steps=total, schedule=(begin, end), seed=seed)
             trained = self._learn(f"train-{rung}", [designs[i] for i in going], ppo, start, steps)
             if not trained.finished:
                 return False
@@ -210,7 +233,7 @@ class Codesign:
                 going, start = sorted(ranked), [last[i] for i in sorted(ranked)]
         alone = score_alone(self.arena, designs, [policies[i] for i in range(len(new))])
         self.env_steps += steps + alone.env_steps
-        generation = self.search.generation
+        generation = self.generation
         self.search.tell({individual.index: float(alone.score[i]) for i, individual in enumerate(new)})
         for i, individual in enumerate(new):
             self.ledger.policies[individual.index] = policies[i]
@@ -224,7 +247,7 @@ class Codesign:
         config = self.config.search
         survivors = self.search.survivors
         policies = [self.ledger.policies[individual.index] for individual in survivors]
-        search = MaterialSearch(survivors, seed=(self.config.seed, self.search.generation), **asdict(config))
+        search = MaterialSearch(survivors, seed=self._seed(_SEARCH), **asdict(config))
         steps = 0
         while not search.is_finished:
             if self._is_stopped():
@@ -247,7 +270,8 @@ class Codesign:
         survivors = self.search.survivors
         designs = [individual.design for individual in survivors]
         start = [self.ledger.policies[individual.index] for individual in survivors]
-        trained = self._learn("finetune", designs, self.config.finetuning(), start, 0)
+        ppo = replace(self.config.finetuning(), seed=self._seed(_FINETUNE))
+        trained = self._learn("finetune", designs, ppo, start, 0)
         if not trained.finished:
             return False
         alone = score_alone(self.arena, designs, trained.best)
@@ -262,7 +286,7 @@ class Codesign:
 
     def _record_survivors(self, event: str) -> None:
         for individual in self.search.survivors:
-            self._record(event, individual, self.search.generation - 1)
+            self._record(event, individual, self.generation)
 
     def _record(self, event: str, individual: Individual, generation: int) -> None:
         self.ledger.add(event, individual, generation, self.env_steps)
@@ -294,6 +318,9 @@ def codesign(
         run: where to keep the table, controllers and checkpoints. A folder opened to resume is gone on with.
         progress: called after every update of a policy and every round of a search.
         should_stop: asked as often; by default Ctrl-C stops the run after the present update.
+
+    Raises:
+        ValueError: A run of these settings cannot start, see `CodesignConfig.check`; nothing has been simulated then.
     """
     state = Codesign(config, run)
     with stop_on_interrupt() if should_stop is None else nullcontext(should_stop) as is_stopped:

@@ -1,16 +1,19 @@
 """Settings of a co-design run: the arm, the optimiser, the budgets, and the inner loop of one body."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, fields
 from typing import Any
 
 import numpy as np
 
-from evogymcm.algos.design_search import DesignSearch
+from evogymcm.algos.body_ppo import BodyPPOConfig, check_body_ppo
+from evogymcm.algos.design_search import Design, DesignSearch
 from evogymcm.algos.evolution import GeneticAlgorithm, HalvingSchedule, RandomSearch
 from evogymcm.algos.generation import Arena
-from evogymcm.algos.ppo import PPOConfig
-from evogymcm.body import SAMPLE_WEIGHTS, STIFFNESS_HIGH, STIFFNESS_LOW
+from evogymcm.algos.material_search import check_search
+from evogymcm.algos.settings import check_choice, check_count, check_flag, check_number, check_numbers, check_pair
+from evogymcm.body import H_ACT, SAMPLE_WEIGHTS, STIFFNESS_HIGH, STIFFNESS_LOW, Body, check_weights
+from evogymcm.sim.scene import EDGE_RULES
 
 __all__ = ["ARMS", "METHODS", "CodesignConfig", "SearchConfig"]
 
@@ -35,6 +38,10 @@ class SearchConfig:
         acceptance: "reference" (gains of 2 % or more) or "paper" (any gain).
         noise: "multiplicative" (reference code) or "additive" (paper).
         proposal: "hill-climbing" or "cma" (extra).
+
+    Raises:
+        ValueError: A value is of the wrong kind or out of range, or "cma" has fewer than 2 candidates.
+        ImportError: The package for CMA-ES is missing.
     """
 
     rounds: int = 20
@@ -44,6 +51,10 @@ class SearchConfig:
     acceptance: str = "reference"
     noise: str = "multiplicative"
     proposal: str = "hill-climbing"
+
+    def __post_init__(self) -> None:
+        for name, value in check_search(asdict(self)).items():
+            object.__setattr__(self, name, value)
 
 
 @dataclass(frozen=True)
@@ -65,7 +76,8 @@ class CodesignConfig:
             drawn anew (EvoGym's by default).
         mutants: of a parent for each child, played once under the parent's controller; the best of them is trained. 1
             takes the first, as EvoGym does; more need `inherit`, and the genetic algorithm.
-        inherit: whether a child starts from its parent's controller instead of a fresh one.
+        inherit: whether a child starts from its parent's controller instead of a fresh one; needs a method that has
+            parents, and policies that are not shared, since one policy cannot start from several.
         inherit_std: standard deviation with which an inherited controller explores at first, in half ranges of the
             action; None for its own, which its parent's training has lowered.
         rungs: shares of the training budget at which bodies are compared (successive halving); none by default.
@@ -75,10 +87,14 @@ class CodesignConfig:
         edge_rule: how stiffness acts on shared edges.
         search: material local search of the "invariant" arm.
         finetune_steps: env-steps of each survivor's fine-tuning in the "invariant" arm; None for 1 % of the training.
-        ppo: inner loop of one body: its env-steps, its worlds, its share of a gradient step. `sharing` says whether the
-            bodies of a generation have policies of their own ("independent") or one.
+        ppo: inner loop of one body. `sharing` says whether the bodies of a generation have policies of their own
+            ("independent") or one; its seeds and schedules are those of the run, and not set here.
         seed: of bodies, mutations, weights and exploration.
-        num_threads: of the simulator.
+        num_threads: of the simulator; None for all cores.
+
+    Raises:
+        ValueError: A value is of the wrong kind or out of range, or values do not go together.
+        ImportError: The package of the method or of the search's proposals is missing.
     """
 
     task: str = "Walker-v0"
@@ -101,43 +117,83 @@ class CodesignConfig:
     edge_rule: str = "mean_factor"
     search: SearchConfig = field(default_factory=SearchConfig)
     finetune_steps: int | None = None
-    ppo: PPOConfig = field(
-        default_factory=lambda: PPOConfig(
-            total_steps=100_000,
-            num_worlds=16,
-            minibatch=128,
-            eval_interval=10_000,
-            sharing="independent",
-        )
-    )
+    ppo: BodyPPOConfig = field(default_factory=BodyPPOConfig)
     seed: int = 0
     num_threads: int | None = 1
 
     def __post_init__(self) -> None:
-        for name, allowed in (("arm", tuple(ARMS)), ("method", METHODS)):
-            if getattr(self, name) not in allowed:
-                raise ValueError(f"{name}: got {getattr(self, name)!r}, allowed are {allowed}")
-        if not STIFFNESS_LOW <= self.prescribed <= STIFFNESS_HIGH:
-            raise ValueError(f"prescribed: got {self.prescribed}, allowed is {STIFFNESS_LOW} to {STIFFNESS_HIGH}")
-        if self.max_env_steps is not None and self.max_env_steps < 1:
-            raise ValueError(f"max_env_steps: got {self.max_env_steps}, must be positive")
-        if self.finetune_steps is not None and self.finetune_steps < 1:
-            raise ValueError(f"finetune_steps: got {self.finetune_steps}, must be positive")
-        if self.inherit_std is not None and not (self.inherit and 0.0 < self.inherit_std < np.inf):
-            raise ValueError(f"inherit_std: got {self.inherit_std}, must be positive, and inherit must be on")
-        if self.mutants < 1 or (self.mutants > 1 and not (self.inherit and self.method == "ga")):
-            raise ValueError(
-                f"mutants: got {self.mutants}, must be at least 1; more need inherit and method 'ga', "
-                f"got inherit={self.inherit}, method={self.method!r}"
-            )
-        if self.ppo.network != "voxel":
-            raise ValueError(f"ppo.network: got {self.ppo.network!r}, bodies differ, so it must be 'voxel'")
+        for item in fields(self):
+            object.__setattr__(self, item.name, self._checked(item.name, getattr(self, item.name)))
+        self._check_inheritance()
+        if self.age_protection and self.method != "ga":
+            raise ValueError(f"age_protection: got {self.age_protection}, method {self.method!r} has none (0)")
         self.halving()
         self.make_search()
 
+    def _checked(self, name: str, value: Any) -> Any:
+        """Returns the value of a field as Python has it, or raises a ValueError."""
+        choices = {"arm": tuple(ARMS), "method": METHODS, "edge_rule": EDGE_RULES}
+        if name in choices:
+            return check_choice(name, value, choices[name])
+        if name in ("max_env_steps", "finetune_steps", "num_threads", "inherit_std") and value is None:
+            return None
+        match name:
+            case "task":
+                if not isinstance(value, str):
+                    raise ValueError(f"task: got {value!r}, expected the id of a task")
+                return value
+            case "shape":
+                return tuple(check_count("shape", side) for side in check_pair("shape", value))
+            case "weights":
+                return check_weights(check_numbers(name, value))
+            case "rungs" | "keep":
+                return check_numbers(name, value)
+            case "inherit":
+                return check_flag(name, value)
+            case "mutation_rate":
+                return check_number(name, value, above=0.0, high=1.0)
+            case "inherit_std":
+                return check_number(name, value, above=0.0)
+            case "prescribed":
+                return check_number(name, value, low=STIFFNESS_LOW, high=STIFFNESS_HIGH)
+            case "search":
+                if not isinstance(value, SearchConfig):
+                    raise ValueError(f"search: got {value!r}, expected a SearchConfig")
+                return value
+            case "ppo":
+                return _checked_ppo(value)
+            case _:
+                return check_count(name, value, 0 if name in ("age_protection", "seed") else 1)
+
+    def _check_inheritance(self) -> None:
+        """Raises a ValueError where children cannot start from their parents' controllers."""
+        if self.inherit and self.method == "random":
+            raise ValueError("inherit: got True, but with method 'random' bodies have no parents")
+        if self.inherit and self.ppo.sharing == "shared":
+            raise ValueError(
+                "inherit: got True, but with ppo.sharing 'shared' the bodies of a generation learn one policy, which "
+                "cannot start from those of several parents; set sharing 'independent'"
+            )
+        if self.inherit_std is not None and not self.inherit:
+            raise ValueError(f"inherit_std: got {self.inherit_std}, but inherit is off")
+        if self.mutants > 1 and not (self.inherit and self.method == "ga"):
+            raise ValueError(
+                f"mutants: got {self.mutants}, more than 1 need inherit and method 'ga', "
+                f"got inherit={self.inherit}, method={self.method!r}"
+            )
+
+    def check(self) -> None:
+        """Makes sure that a run can start: raises what would be raised only in the first generation.
+
+        Raises:
+            ValueError: There is no such task, or a body that fills the shape does not fit into its world.
+        """
+        design = Design(Body(np.full(self.shape, H_ACT)))
+        self.make_arena().make([design]).close(raise_if_closed=False)
+
     def halving(self) -> HalvingSchedule:
         """Returns the schedule of successive halving; without rungs every body trains in full."""
-        return HalvingSchedule(tuple(self.rungs), tuple(self.keep))
+        return HalvingSchedule(self.rungs, self.keep)
 
     def make_search(self) -> DesignSearch:
         """Returns the optimiser over designs, before its first generation."""
@@ -160,8 +216,18 @@ class CodesignConfig:
         """Returns where designs are trained and scored."""
         return Arena(self.task, ARMS[self.arm], self.edge_rule, self.num_threads)
 
-    def finetuning(self) -> PPOConfig:
-        """Returns the settings of a survivor's fine-tuning: on from where its schedules ended."""
-        steps = self.finetune_steps or max(1, self.ppo.total_steps // 100)
-        rate, std = self.ppo.learning_rate / 4, self.ppo.final_std
-        return replace(self.ppo, total_steps=steps, learning_rate=rate, initial_std=std, eval_interval=steps)
+    def finetuning(self) -> BodyPPOConfig:
+        """Returns the settings of a survivor's fine-tuning."""
+        return self.ppo.finetuning(self.finetune_steps)
+
+
+def _checked_ppo(ppo: Any) -> BodyPPOConfig:
+    """Returns settings of the inner loop that go together with co-design, or raises a ValueError."""
+    check_body_ppo(ppo)
+    if ppo.network != "voxel":
+        raise ValueError(f"ppo.network: got {ppo.network!r}, bodies differ, so it must be 'voxel'")
+    defaults = BodyPPOConfig()
+    for name, instead in (("seed", "seed"), ("schedule", "rungs")):
+        if getattr(ppo, name) != getattr(defaults, name):
+            raise ValueError(f"ppo.{name}: got {getattr(ppo, name)}, in co-design it comes from {instead}")
+    return ppo

@@ -7,9 +7,9 @@ from itertools import pairwise
 from evogymcm.algos.codesign_config import CodesignConfig
 from evogymcm.algos.evolution import survivor_count
 from evogymcm.algos.ppo import PPOConfig
-from evogymcm.envs.tasks import tasks
+from evogymcm.envs.tasks import as_task
 
-__all__ = ["Cost", "cost_of"]
+__all__ = ["Cost", "cost_of", "generations"]
 
 
 @dataclass(frozen=True)
@@ -36,8 +36,8 @@ class Cost:
         return self.training + self.scoring + self.screening + self.search + self.finetuning
 
 
-def _generations(config: CodesignConfig) -> Iterator[tuple[int, int]]:
-    """Yields the new bodies of each generation, and the most that survive it and are worked on."""
+def generations(config: CodesignConfig) -> Iterator[tuple[int, int]]:
+    """Yields the new bodies of each generation, the first one first, and the most that survive it and are worked on."""
     done = survivors = 0
     while done < config.budget:
         new = min(config.population - survivors, config.budget - done)
@@ -57,11 +57,15 @@ def _training(ppo: PPOConfig, bodies: int, limit: int) -> tuple[int, int]:
 
 
 def cost_of(config: CodesignConfig) -> Cost:
-    """Returns what a run takes where no episode ends before its time limit and no max_env_steps ends the run."""
-    limit = tasks[config.task].time_limit
+    """Returns what a run takes where no episode ends before its time limit and no max_env_steps ends the run.
+
+    Raises:
+        ValueError: There is no such task.
+    """
+    limit = as_task(config.task).time_limit
     halving = config.halving()
     training = scoring = screening = search = finetuning = 0
-    for generation, (new, survivors) in enumerate(_generations(config)):
+    for generation, (new, survivors) in enumerate(generations(config)):
         going = new
         if config.mutants > 1 and generation:
             screening += new * config.mutants * limit

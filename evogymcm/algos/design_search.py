@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from evogymcm.algos.designs import Design, Individual
-from evogymcm.body import SAMPLE_WEIGHTS, check_weights, sample_body
+from evogymcm.algos.settings import check_count, check_pair
+from evogymcm.body import H_ACT, SAMPLE_WEIGHTS, V_ACT, check_weights, sample_body
 
 __all__ = ["Design", "DesignSearch", "Individual"]
 
@@ -35,10 +36,11 @@ class DesignSearch(ABC):
     Attributes:
         settings: all of them, of JSON types.
         n_designs: bodies proposed so far.
-        generation: generations told so far.
+        generation: of the individuals asked for next, counted from 0: so many have been told.
 
     Raises:
-        ValueError: The shape has no cell, the budget no body, or the weights are none of `sample_body`.
+        ValueError: The shape has no cell, the budget no body or more than there can be, a number is of the wrong kind,
+            or the weights are none of `sample_body`.
     """
 
     def __init__(
@@ -51,17 +53,18 @@ class DesignSearch(ABC):
         settings: Mapping[str, Any],
         weights: Sequence[float] = SAMPLE_WEIGHTS,
     ) -> None:
-        if len(shape) != 2 or min(shape) < 1:
-            raise ValueError(f"shape: got {shape}, expected (rows, cols), both at least 1")
-        if budget < 1:
-            raise ValueError(f"budget: got {budget}, expected at least 1 body")
-        self.shape, self.budget, self.carries_stiffness = (int(shape[0]), int(shape[1])), budget, carries_stiffness
+        rows, cols = (check_count("shape", side) for side in check_pair("shape", shape))
+        seed = check_count("seed", seed, 0)
+        self.shape, self.budget, self.carries_stiffness = (rows, cols), check_count("budget", budget), carries_stiffness
         self.weights = check_weights(weights)
+        possible = _most_bodies(rows * cols, self.weights)
+        if self.budget > possible:
+            raise ValueError(f"budget: got {self.budget}, there are at most {possible} bodies of shape {self.shape}")
         self.settings = {
             "method": type(self).__name__,
             "shape": list(self.shape),
-            "budget": budget,
-            "seed": int(seed),
+            "budget": self.budget,
+            "seed": seed,
             "carries_stiffness": carries_stiffness,
             "weights": list(self.weights),
             **settings,
@@ -88,6 +91,11 @@ class DesignSearch(ABC):
     def survivors(self) -> list[Individual]:
         """Those selected by the last `tell`, best first: what `update` may improve."""
         return [individual for individual in self.population if individual.index in self._survivors]
+
+    @property
+    def parents(self) -> list[Individual]:
+        """Those whose mutants may be asked for, now or later: here the survivors."""
+        return self.survivors
 
     @property
     def best(self) -> Individual:
@@ -219,6 +227,13 @@ class DesignSearch(ABC):
     def _random(self) -> tuple[Design, None]:
         """A random body without a parent, for `_fill`."""
         return Design(sample_body(self.shape, self._rng, self.weights)), None
+
+
+def _most_bodies(cells: int, weights: Sequence[float]) -> int:
+    """Returns how many grids of so many cells have an actuator; not all of them are connected."""
+    is_drawn = [weight > 0.0 for weight in weights]
+    codes = sum(is_drawn)
+    return codes**cells - (codes - is_drawn[H_ACT] - is_drawn[V_ACT]) ** cells
 
 
 def check_settings(own: Mapping[str, Any], saved: Mapping[str, Any]) -> None:

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from evogymcm.algos.settings import check_count, check_number
 from evogymcm.body import SAMPLE_WEIGHTS, Body, check_stiffness, mutate_body
 
 __all__ = ["Design", "Individual", "mutate_design"]
@@ -121,9 +122,6 @@ def mutate_design(
     return Design(body, np.where(body.grid == parent.body.grid, parent.stiffness, 1.0))
 
 
-def check_mutation(rate: float, attempts: int) -> None:
-    """Raises a ValueError where `mutate_body` would, before any work, or where nothing would ever change."""
-    if not 0.0 < rate <= 1.0 or attempts < 1:
-        raise ValueError(
-            f"got mutation_rate={rate}, attempts={attempts}; expected a rate above 0, at most 1; 1 attempt"
-        )
+def check_mutation(rate: float, attempts: int) -> tuple[float, int]:
+    """Returns both as Python has them; raises a ValueError where `mutate_body` would, or nothing would ever change."""
+    return check_number("mutation_rate", rate, above=0.0, high=1.0), check_count("attempts", attempts)

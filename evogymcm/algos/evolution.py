@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from evogymcm.algos.design_search import DesignSearch
 from evogymcm.algos.designs import Design, Individual, check_mutation, mutate_design
+from evogymcm.algos.settings import check_count, check_numbers
 from evogymcm.body import SAMPLE_WEIGHTS
 
 __all__ = [
@@ -87,13 +88,13 @@ class GeneticAlgorithm(DesignSearch):
         age_protection: int = 0,
         weights: Sequence[float] = SAMPLE_WEIGHTS,
     ) -> None:
-        if not 1 <= population <= budget:
+        population, budget = check_count("population", population), check_count("budget", budget)
+        if population > budget:
             raise ValueError(f"population: got {population}, expected 1 to {budget} (the budget of bodies)")
         if 3 > population < budget:
             raise ValueError(f"population: got {population}, expected at least 3, since 2 survive")
-        if age_protection < 0:
-            raise ValueError(f"age_protection: got {age_protection}, expected at least 0 generations")
-        check_mutation(mutation_rate, attempts)
+        age_protection = check_count("age_protection", age_protection, 0)
+        mutation_rate, attempts = check_mutation(mutation_rate, attempts)
         settings = {
             "population": population,
             "mutation_rate": mutation_rate,
@@ -218,13 +219,17 @@ class RandomSearch(DesignSearch):
         seed: int,
         weights: Sequence[float] = SAMPLE_WEIGHTS,
     ) -> None:
-        if batch < 1:
-            raise ValueError(f"batch: got {batch}, expected at least 1 body")
+        batch = check_count("batch", batch)
         super().__init__(shape, budget, seed=seed, carries_stiffness=False, settings={"batch": batch}, weights=weights)
         self.batch = batch
 
     def _propose(self) -> None:
         self._fill(self.batch, self._random)
+
+    @property
+    def parents(self) -> list[Individual]:
+        """None: every body is random."""
+        return []
 
     def _select(self) -> list[Individual]:
         return []
@@ -246,6 +251,8 @@ class HalvingSchedule:
     keep: tuple[float, ...] = (0.5, 0.5)
 
     def __post_init__(self) -> None:
+        for name in ("rungs", "keep"):
+            object.__setattr__(self, name, check_numbers(name, getattr(self, name)))
         bounds = (0.0, *self.rungs, 1.0)
         if not all(low < high for low, high in pairwise(bounds)):
             raise ValueError(f"rungs: got {self.rungs}, expected rising shares of the budget, above 0 and below 1")

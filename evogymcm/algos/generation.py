@@ -5,7 +5,7 @@ A policy is a mapping as `train` saves it, of one design: its form, and the weig
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -15,15 +15,18 @@ from tensordict.nn import TensorDictModuleBase
 from torchrl.envs import EnvBase
 
 from evogymcm.algos.actor import Actor, load_actor
+from evogymcm.algos.body_ppo import BodyPPOConfig, check_body_ppo
 from evogymcm.algos.design_search import Design, Individual
 from evogymcm.algos.evaluate import Evaluation, evaluate
 from evogymcm.algos.material_search import MaterialSearch
-from evogymcm.algos.ppo import PPOConfig
 from evogymcm.algos.runs import RunFolder
+from evogymcm.algos.settings import check_choice, check_count
 from evogymcm.algos.sharing import PerDesign, stack_states, take_state
 from evogymcm.algos.trainer import limited_threads
 from evogymcm.algos.training import Progress, TrainResult, train
-from evogymcm.envs import PopulationEnv
+from evogymcm.envs import SoftRobotEnv
+from evogymcm.envs.designs import MATERIALS
+from evogymcm.sim.scene import EDGE_RULES
 
 __all__ = [
     "Arena",
@@ -48,7 +51,10 @@ class Arena:
         task: id of the task.
         material: "reactive" or "invariant".
         edge_rule: how stiffness acts on shared edges.
-        num_threads: of the simulator.
+        num_threads: of the simulator; None for all cores.
+
+    Raises:
+        ValueError: There is no such material or rule, or no thread.
     """
 
     task: str
@@ -56,20 +62,35 @@ class Arena:
     edge_rule: str = "mean_factor"
     num_threads: int | None = 1
 
-    def make(self, designs: Sequence[Design], copies: int = 1, seed: int = 0) -> EnvBase:
-        """Returns the worlds of a population: `copies` of each design, world w holding design w % D."""
+    def __post_init__(self) -> None:
+        check_choice("material", self.material, MATERIALS)
+        check_choice("edge_rule", self.edge_rule, EDGE_RULES)
+        if self.num_threads is not None:
+            check_count("num_threads", self.num_threads)
+
+    def make(self, designs: Sequence[Design], copies: int = 1, seed: int = 0) -> SoftRobotEnv:
+        """Returns the worlds of a population: `copies` of each design, world w holding design w % D.
+
+        Raises:
+            ValueError: There is no such task, or a body does not fit into the task's world.
+        """
         fields = None if self.material == "reactive" else [design.field for design in designs]
-        population = PopulationEnv(
+        return SoftRobotEnv(
             self.task,
             [design.body for design in designs],
-            copies,
+            copies * len(designs),
             material=self.material,
             stiffness=fields,
             edge_rule=self.edge_rule,
             seed=seed,
             num_threads=self.num_threads,
         )
-        return population.worlds
+
+    def make_alike(self, designs: Sequence[Design], seed: int = 0) -> SoftRobotEnv:
+        """Returns one world of each design, which all draw the same where a task's resets are random."""
+        env = self.make(designs)
+        env.engine.set_seed([seed] * len(designs))
+        return env
 
 
 @dataclass(frozen=True)
@@ -94,7 +115,7 @@ class Trained:
 def train_designs(
     arena: Arena,
     designs: Sequence[Design],
-    ppo: PPOConfig,
+    ppo: BodyPPOConfig,
     *,
     run: RunFolder | None = None,
     start_from: Sequence[Policy] | None = None,
@@ -106,18 +127,21 @@ def train_designs(
     Args:
         arena: where.
         designs: D designs.
-        ppo: settings for one design: its env-steps, its worlds, and its share of a gradient step. With
-            `sharing="independent"` each has its own policy, with "shared" all have one.
+        ppo: settings for one design. With `sharing="independent"` each has its own policy, with "shared" all have one.
         run: where to keep what a stopped training goes on from.
-        start_from: a policy for each design to start from; None for fresh ones.
+        start_from: a policy for each design to start from, the same for all where they share one; None for fresh ones.
         progress: see `train`.
         should_stop: see `train`.
+
+    Raises:
+        ValueError: `ppo` is a `PPOConfig`, whose env-steps and worlds are not those of one design; or there is not one
+            policy for each design, or a shared one is to start from different ones.
     """
+    check_body_ppo(ppo)
     n = len(designs)
-    config = replace(ppo, total_steps=n * ppo.total_steps, num_worlds=n * ppo.num_worlds, eval_worlds=n)
-    config = replace(config, eval_interval=n * ppo.eval_interval)
-    if ppo.sharing == "shared":
-        config = replace(config, minibatch=n * ppo.minibatch)
+    if start_from is not None and len(start_from) != n:
+        raise ValueError(f"start_from: got {len(start_from)} policies, expected one for each of {n} designs")
+    config = ppo.of_bodies(n)
 
     def make_env(*, num_worlds: int, seed: int) -> EnvBase:
         return arena.make(designs, num_worlds // n, seed)
@@ -134,12 +158,22 @@ def exploring(policy: Policy, std: float) -> Policy:
 
 
 def _together(policies: Sequence[Policy], sharing: str) -> Policy:
-    """Returns policies as one that a run can start from; a shared one starts from the first."""
+    """Returns policies as one that a run can start from."""
     first = policies[0]
     if sharing == "shared":
+        if not all(_is_same(first, policy) for policy in policies[1:]):
+            raise ValueError("start_from: got different policies, but a shared policy can start from one only")
         return first
     stacked = {name: stack_states([policy[name] for policy in policies]) for name in ("actor", "critic")}
     return {"form": first["form"] | {"copies": len(policies)}, **stacked}
+
+
+def _is_same(one: Policy, other: Policy) -> bool:
+    """Whether two policies have the same weights."""
+    if one is other:
+        return True
+    parts = ("actor", "critic")
+    return all(torch.equal(value, other[name][key]) for name in parts for key, value in one[name].items())
 
 
 def _apart(result: TrainResult, n: int) -> Trained:
@@ -185,8 +219,20 @@ def _actors(policies: Sequence[Policy], columns: int) -> list[Actor]:
 
 
 def score_alone(arena: Arena, designs: Sequence[Design], policies: Sequence[Policy], seed: int = 0) -> Evaluation:
-    """Scores each design under its policy, exactly as if it were alone: always the same to the last bit."""
-    env = arena.make(designs, 1, seed)
+    """Scores each design under its policy, exactly as if it were alone: always the same to the last bit.
+
+    Args:
+        arena: where.
+        designs: D designs.
+        policies: D policies.
+        seed: of tasks with random resets; each design is played from the same reset.
+
+    Raises:
+        ValueError: There are not as many policies as designs.
+    """
+    if len(policies) != len(designs):
+        raise ValueError(f"policies: got {len(policies)}, expected one for each of {len(designs)} designs")
+    env = arena.make_alike(designs, seed)
     with limited_threads(1):
         return evaluate(_OneByOne(_actors(policies, env.grid_shape[1])), env)
 
@@ -201,9 +247,14 @@ def score_together(
         designs: `copies` of each policy; design i is under policy i % P.
         policies: P policies.
         copies: designs of each policy.
-        seed: of tasks with random resets.
+        seed: of tasks with random resets; each design is played from the same reset.
+
+    Raises:
+        ValueError: There are not `copies` designs of each policy.
     """
-    env = arena.make(designs, 1, seed)
+    if copies * len(policies) != len(designs):
+        raise ValueError(f"policies: got {len(policies)}, expected 1 for {copies} each of {len(designs)} designs")
+    env = arena.make_alike(designs, seed)
     actor = load_actor(_together(policies, "independent"))
     actor.columns = env.grid_shape[1]
     with limited_threads(1):

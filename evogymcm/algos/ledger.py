@@ -17,7 +17,7 @@ class Ledger:
         run: where rows and controllers are kept as well; None keeps them in memory.
 
     Attributes:
-        policies: controllers by index, of survivors and new individuals.
+        policies: controllers by index that are in memory, see `policy` and `keep`.
         returns: of the same, with the last step's reward, which fitness leaves out.
         rows: the table.
         champion: the best individual so far with its controller, None before there is one.
@@ -34,6 +34,16 @@ class Ledger:
     def best(self) -> float | None:
         """The best fitness so far, None before there is one."""
         return None if self.champion is None else self.champion[0].fitness
+
+    def policy(self, index: int) -> Policy:
+        """Returns an individual's controller, from memory or from the folder.
+
+        Raises:
+            KeyError: It was forgotten.
+        """
+        if index not in self.policies and self.run and (saved := self.run.load(f"policy-{index:04}")):
+            return saved
+        return self.policies[index]
 
     def add(self, event: str, individual: Individual, generation: int, env_steps: int) -> None:
         """Adds a row for an individual with fitness, and stores its controller.
@@ -56,7 +66,7 @@ class Ledger:
             self.run.save(f"policy-{individual.index:04}", policy)
 
     def keep(self, indices: Collection[int]) -> None:
-        """Forgets the controllers and returns of all others; the folder keeps theirs."""
+        """Forgets the controllers and returns of all others; the folder keeps theirs, for `policy`."""
         self.policies = {index: policy for index, policy in self.policies.items() if index in indices}
         self.returns = {index: value for index, value in self.returns.items() if index in indices}
 

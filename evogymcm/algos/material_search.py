@@ -8,9 +8,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from evogymcm.algos.design_search import check_settings
 from evogymcm.algos.designs import Design, Individual
-from evogymcm.algos.stiffness_proposals import CMA, NOISE, HillClimber, Proposer
+from evogymcm.algos.settings import check_choice, check_count, check_number
+from evogymcm.algos.stiffness_proposals import CMA, NOISE, HillClimber, Proposer, load_cma
 
-__all__ = ["ACCEPTANCE", "PROPOSALS", "MaterialSearch", "Materials"]
+__all__ = ["ACCEPTANCE", "PROPOSALS", "MaterialSearch", "Materials", "check_search"]
 
 ACCEPTANCE = ("reference", "paper")
 PROPOSALS = ("hill-climbing", "cma")
@@ -69,27 +70,22 @@ class MaterialSearch:
         noise: str = "multiplicative",
         proposal: str = "hill-climbing",
     ) -> None:
-        _check_options(acceptance=(acceptance, ACCEPTANCE), noise=(noise, NOISE), proposal=(proposal, PROPOSALS))
-        if rounds < 1 or candidates < 1:
-            raise ValueError(f"got rounds={rounds}, candidates={candidates}, both must be at least 1")
-        if proposal == "cma" and candidates < 2:
-            raise ValueError(f"candidates: got {candidates}, proposal 'cma' needs at least 2")
-        if not 0.0 <= probability <= 1.0 or not 0.0 < sigma < np.inf:
-            raise ValueError(f"got probability={probability}, sigma={sigma}; expected 0 to 1, and above 0")
+        options = check_search(
+            {
+                "rounds": rounds,
+                "candidates": candidates,
+                "probability": probability,
+                "sigma": sigma,
+                "acceptance": acceptance,
+                "noise": noise,
+                "proposal": proposal,
+            }
+        )
         _check_individuals(individuals)
         self.individuals = list(individuals)
-        self.rounds, self.candidates, self.acceptance = rounds, candidates, acceptance
-        self.settings = {
-            "seed": np.asarray(seed).tolist(),
-            "rounds": rounds,
-            "candidates": candidates,
-            "probability": probability,
-            "sigma": sigma,
-            "acceptance": acceptance,
-            "noise": noise,
-            "proposal": proposal,
-            "individuals": [individual.record() for individual in self.individuals],
-        }
+        self.rounds, self.candidates, self.acceptance = options["rounds"], options["candidates"], acceptance
+        records = [individual.record() for individual in self.individuals]
+        self.settings = {"seed": np.asarray(seed).tolist(), **options, "individuals": records}
         self._start()
 
     def _start(self) -> None:
@@ -188,11 +184,23 @@ class MaterialSearch:
             self.tell(scores)
 
 
-def _check_options(**options: tuple[str, tuple[str, ...]]) -> None:
-    """Raises a ValueError for an option that is not among its values."""
-    for name, (value, allowed) in options.items():
-        if value not in allowed:
-            raise ValueError(f"{name}: got {value!r}, allowed are {', '.join(allowed)}")
+def check_search(options: Mapping[str, Any]) -> dict[str, Any]:
+    """Returns the options of a search, all but individuals and seed, as Python has them.
+
+    Raises:
+        ValueError: A value is of the wrong kind or out of range, or "cma" has fewer than 2 candidates.
+        ImportError: The package for CMA-ES is missing.
+    """
+    choices = {"acceptance": ACCEPTANCE, "noise": NOISE, "proposal": PROPOSALS}
+    checked: dict[str, Any] = {name: check_count(name, options[name]) for name in ("rounds", "candidates")}
+    checked["probability"] = check_number("probability", options["probability"], low=0.0, high=1.0)
+    checked["sigma"] = check_number("sigma", options["sigma"], above=0.0)
+    checked |= {name: check_choice(name, options[name], allowed) for name, allowed in choices.items()}
+    if checked["proposal"] == "cma":
+        if checked["candidates"] < 2:
+            raise ValueError(f"candidates: got {checked['candidates']}, proposal 'cma' needs at least 2")
+        load_cma()
+    return checked
 
 
 def _check_individuals(individuals: Sequence[Individual]) -> None:

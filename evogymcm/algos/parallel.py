@@ -37,8 +37,16 @@ def codesign_all(
         executor: where they run; any `concurrent.futures.Executor`.
 
     Raises:
+        ValueError: a run cannot start (`CodesignConfig.check`), before any of them does.
         Exception: what a run raised, once the others that had ended before it have been yielded.
     """
+    if not callable(getattr(executor, "submit", None)):
+        raise ValueError(f"executor: got {executor!r}, expected a concurrent.futures.Executor")
+    for name, config in configs.items():
+        try:
+            config.check()
+        except ValueError as error:
+            raise ValueError(f"{name}: {error}") from None
     futures: dict[Future, str] = {}
     for name, config in configs.items():
         futures[executor.submit(codesign_in, folder / name, config)] = name

@@ -12,22 +12,12 @@ from torchrl.objectives.value import GAE
 from evogymcm.algos.actor import Actor
 from evogymcm.algos.context import CONTEXTS
 from evogymcm.algos.critic import Critic
+from evogymcm.algos.settings import check_choice, check_count, check_flag, check_number, check_pair
 from evogymcm.algos.sharing import by_design, by_world
 
 __all__ = ["PPOConfig", "PPOLearner"]
 
 
-_MAY_BE_ZERO = {
-    "decay_learning_rate",
-    "gamma",
-    "gae_lambda",
-    "entropy_weight",
-    "value_weight",
-    "target_kl",
-    "eval_interval",
-    "seed",
-    "noise_correlation",
-}
 _LOGGED = {
     "loss_policy": "loss_objective",
     "loss_value": "loss_critic",
@@ -35,7 +25,23 @@ _LOGGED = {
     "kl": "kl_approx",
     "clipped": "clip_fraction",
 }
-_ALLOWED = {"network": ("voxel", "mlp"), "context": tuple(CONTEXTS), "sharing": ("shared", "independent")}
+SHARING = ("shared", "independent")
+_CHOICES = {"network": ("voxel", "mlp"), "context": tuple(CONTEXTS), "sharing": SHARING}
+_COUNTS_FROM = {"eval_interval": 0, "seed": 0}  # other counts: from 1
+_NUMBERS: dict[str, dict[str, float]] = {
+    "learning_rate": {"above": 0},
+    "gamma": {"low": 0, "high": 1},
+    "gae_lambda": {"low": 0, "high": 1},
+    "clip": {"above": 0},
+    "entropy_weight": {"low": 0},
+    "value_weight": {"low": 0},
+    "max_grad_norm": {"above": 0},
+    "target_kl": {"low": 0},
+    "reward_scale": {"above": 0},
+    "initial_std": {"above": 0},
+    "final_std": {"above": 0},
+    "noise_correlation": {"low": 0, "below": 1},
+}
 
 
 @dataclass(frozen=True)
@@ -73,6 +79,9 @@ class PPOConfig:
         eval_worlds: worlds in an evaluation; None for one of each design.
         seed: of weights, exploration and environments.
         torch_threads: threads of torch while training.
+
+    Raises:
+        ValueError: A value is of the wrong kind or out of range.
     """
 
     total_steps: int = 1_000_000
@@ -105,30 +114,30 @@ class PPOConfig:
 
     def __post_init__(self) -> None:
         for field in fields(self):
-            value, may_be_zero = getattr(self, field.name), field.name in _MAY_BE_ZERO
-            if field.name in _ALLOWED:
-                if value not in _ALLOWED[field.name]:
-                    raise ValueError(f"{field.name}: got {value!r}, allowed are {_ALLOWED[field.name]}")
-                continue
-            if field.name == "schedule":
-                if not 0 <= value[0] < value[1] <= 1:
-                    raise ValueError(f"schedule: got {value}, expected two rising shares from 0 to 1")
-                continue
-            if value is None:
-                continue
-            if value < 0 or (value == 0 and not may_be_zero):
-                raise ValueError(
-                    f"{field.name}: got {value}, must {'not be negative' if may_be_zero else 'be positive'}"
-                )
-        if self.noise_correlation >= 1:
-            raise ValueError(f"noise_correlation: got {self.noise_correlation}, must be below 1")
-        if self.gamma > 1 or self.gae_lambda > 1:
-            raise ValueError(f"gamma, gae_lambda: got {self.gamma}, {self.gae_lambda}, must be at most 1")
+            object.__setattr__(self, field.name, _checked(field.name, getattr(self, field.name)))
 
     @property
     def frames_per_update(self) -> int:
         """Env-steps of one rollout, all worlds together."""
         return self.num_worlds * self.rollout_steps
+
+
+def _checked(name: str, value: Any) -> Any:
+    """Returns the value of a setting as Python has it, or raises a ValueError."""
+    if name in _CHOICES:
+        return check_choice(name, value, _CHOICES[name])
+    if name in _NUMBERS:
+        return check_number(name, value, **_NUMBERS[name])
+    if name == "decay_learning_rate":
+        return check_flag(name, value)
+    if name == "schedule":
+        begin, end = (check_number(name, share, low=0, high=1) for share in check_pair(name, value))
+        if not begin < end:
+            raise ValueError(f"schedule: got {value}, expected two rising shares from 0 to 1")
+        return begin, end
+    if value is None and name in ("hidden", "eval_worlds"):
+        return None
+    return check_count(name, value, _COUNTS_FROM.get(name, 1))
 
 
 class PPOLearner:

@@ -1,7 +1,7 @@
 """What to try next for one body's stiffness field: noise on the best so far (EvoGymCM), or CMA-ES (Hansen, 2016)."""
 
 from math import log
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from evogymcm.algos.designs import Design
 from evogymcm.body import STIFFNESS_HIGH, STIFFNESS_LOW
 
-__all__ = ["CMA", "NOISE", "HillClimber", "Proposer", "perturb_stiffness"]
+__all__ = ["CMA", "NOISE", "HillClimber", "Proposer", "load_cma", "perturb_stiffness"]
 
 NOISE = ("multiplicative", "additive")
 
@@ -81,14 +81,24 @@ class HillClimber:
         """Learns nothing: the best field says it all."""
 
 
+def load_cma() -> Any:
+    """Returns the package for CMA-ES.
+
+    Raises:
+        ImportError: It is missing.
+    """
+    try:
+        import cma
+    except ImportError as error:
+        raise ImportError("proposal 'cma' needs the package cma: pip install evogymcm[cma]") from error
+    return cma
+
+
 class CMA:
     """CMA-ES over the logarithms of the voxels' stiffness, begun at the given field."""
 
     def __init__(self, start: Design, rng: np.random.Generator, candidates: int, sigma: float) -> None:
-        try:
-            import cma
-        except ImportError as error:
-            raise ImportError("proposal 'cma' needs the package cma: pip install evogymcm[cma]") from error
+        cma = load_cma()
         options = {
             "bounds": [log(STIFFNESS_LOW), log(STIFFNESS_HIGH)],
             "popsize": candidates,

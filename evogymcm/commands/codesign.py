@@ -2,7 +2,7 @@
 
 import argparse
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -70,6 +70,13 @@ def options() -> type:
     return CodesignOptions
 
 
+def without_choices(settings: Any) -> "CodesignConfig":
+    """Returns the settings of the command line as the library has them: equal to those made there."""
+    from evogymcm.algos.codesign import CodesignConfig
+
+    return CodesignConfig(**{item.name: getattr(settings, item.name) for item in fields(CodesignConfig)})
+
+
 def run(args: argparse.Namespace) -> int:
     """Evolves and returns the exit status.
 
@@ -94,8 +101,8 @@ def _codesign(given: Any, arguments: Sequence[str]) -> int:
     from evogymcm.algos.codesign_cost import cost_of
     from evogymcm.algos.memory import keep_freed_memory
 
-    config = given.config
-    check(config)
+    config = without_choices(given.config)
+    config.check()
     path = given.run or Path("runs") / f"{config.task}-codesign-{config.arm}-seed{config.seed}"
     folder = open_run(path, asdict(config), resume=given.resume, overwrite=given.overwrite)
     cost = cost_of(config)
@@ -116,20 +123,6 @@ def _codesign(given: Any, arguments: Sequence[str]) -> int:
         return 0
     print(f"stopped after {result.env_steps:,} env-steps; to go on:\n  {how_to_resume('codesign', arguments)}")
     return INTERRUPTED
-
-
-def check(config: "CodesignConfig") -> None:
-    """Raises a ValueError for what would fail only later: the task, bodies that do not fit, the local search."""
-    import numpy as np
-
-    from evogymcm.algos.designs import Design, Individual
-    from evogymcm.algos.material_search import MaterialSearch
-    from evogymcm.body import H_ACT, Body
-
-    design = Design(Body(np.full(config.shape, H_ACT)))
-    config.make_arena().make([design])
-    if config.arm == "invariant":
-        MaterialSearch([Individual(0, design, fitness=0.0)], seed=0, **asdict(config.search))
 
 
 def _show(bar: Bar, state: "CodesignProgress") -> None:

@@ -140,8 +140,8 @@ def test_a_resumed_search_equals_an_uninterrupted_one(ribs, is_asked):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"batch": 0}, "batch=0"),
-        ({"initial": 0}, "initial=0"),
+        ({"batch": 0}, "batch: got 0"),
+        ({"initial": 0}, "initial: got 0"),
         ({"dims": (10, 0)}, "dims"),
         ({"dims": (10,)}, "dims"),
         ({"sigma": -1.0}, "sigma"),

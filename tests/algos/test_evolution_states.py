@@ -59,10 +59,10 @@ def test_a_state_of_other_settings_is_refused():
         ({"population": 30}, "expected 1 to 20"),
         ({"shape": (0, 5)}, "shape"),
         ({"shape": (5,)}, "shape"),
-        ({"mutation_rate": 0.0}, "mutation_rate=0.0"),
-        ({"mutation_rate": 1.5}, "mutation_rate=1.5"),
-        ({"mutation_rate": np.nan}, "mutation_rate=nan"),
-        ({"attempts": 0}, "attempts=0"),
+        ({"mutation_rate": 0.0}, "mutation_rate: got 0.0"),
+        ({"mutation_rate": 1.5}, "mutation_rate: got 1.5"),
+        ({"mutation_rate": np.nan}, "mutation_rate: got nan"),
+        ({"attempts": 0}, "attempts: got 0"),
         ({"age_protection": -1}, "age_protection: got -1"),
     ],
 )
@@ -109,6 +109,10 @@ def test_asking_again_gives_the_same():
 
 def test_a_shape_without_further_bodies_is_an_error(monkeypatch):
     monkeypatch.setattr("evogymcm.algos.design_search._MAX_FAILURES", 200)
-    search = GeneticAlgorithm((1, 1), 3, 6, seed=0)  # there are H and V
-    with pytest.raises(RuntimeError, match=r"shape \(1, 1\) after 2 bodies"):
+    search = RandomSearch((1, 1), 2, 2, seed=0)  # there are H and V
+    assert {item.design.body.text for item in search.ask()} == {"H", "V"}
+    with pytest.raises(ValueError, match=r"budget: got 3, there are at most 2 bodies of shape \(1, 1\)"):
+        RandomSearch((1, 1), 3, 3, seed=0)
+    search = RandomSearch((1, 3), 98, 98, seed=0)  # 125 - 27 have an actuator, but some are in two parts
+    with pytest.raises(RuntimeError, match=r"shape \(1, 3\) after \d\d bodies"):
         search.ask()

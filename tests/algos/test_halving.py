@@ -43,6 +43,7 @@ def test_cost_by_hand():
         ((0.0, 0.5), (0.5, 0.5), "rungs"),
         ((0.5, 1.0), (0.5, 0.5), "rungs"),
         ((0.5, np.nan), (0.5, 0.5), "rungs"),
+        (0.5, 0.5, "rungs: got 0.5, expected a sequence of numbers"),
         ((0.5,), (0.5, 0.5), "expected 1 shares"),
         ((0.5,), (0.0,), "keep"),
         ((0.5,), (1.1,), "keep"),

@@ -6,15 +6,12 @@ from multiprocessing import get_context
 
 import pytest
 
-from evogymcm.algos import PPOConfig
+from evogymcm.algos import BodyPPOConfig
 from evogymcm.algos.codesign import CodesignConfig, codesign
 from evogymcm.algos.parallel import RayExecutor, codesign_all
 
 # On a task of the package, which workers know without this file.
-PPO = PPOConfig(
-    total_steps=128, num_worlds=8, rollout_steps=16, epochs=1, minibatch=64, hidden=8, eval_interval=0,
-    sharing="independent",
-)  # fmt: skip
+PPO = BodyPPOConfig(total_steps=128, num_worlds=8, rollout_steps=16, epochs=1, minibatch=64, hidden=8, eval_interval=0)
 TINY = CodesignConfig("Thrower-v0", shape=(2, 3), population=3, budget=3, ppo=PPO)
 CONFIGS = {f"seed{seed}": replace(TINY, seed=seed) for seed in range(2)}
 

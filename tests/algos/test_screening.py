@@ -223,9 +223,9 @@ def test_a_limit_of_env_steps_ends_no_run_between_screening_and_training():
 
 
 def test_screening_needs_inherited_controllers():
-    with pytest.raises(ValueError, match=r"mutants: got 3, must be at least 1; more need inherit"):
+    with pytest.raises(ValueError, match=r"mutants: got 3, more than 1 need inherit"):
         replace(TINY, mutants=3)
-    with pytest.raises(ValueError, match="method='random'"):
-        replace(SCREENING, method="random")
+    with pytest.raises(ValueError, match="method='qd'"):
+        replace(SCREENING, method="qd")
     with pytest.raises(ValueError, match="mutants: got 0"):
         replace(TINY, mutants=0)

@@ -9,14 +9,16 @@ import pytest
 import torch
 
 import evogymcm as cm
-from evogymcm.algos import PPOConfig, RunFolder, train
+from evogymcm.algos import BodyPPOConfig, PPOConfig, RunFolder, train
 from evogymcm.algos.codesign import CodesignConfig, SearchConfig, codesign
 from evogymcm.envs import SoftRobotEnv, Task
 
 PPO = PPOConfig(total_steps=64, num_worlds=4, rollout_steps=8, epochs=1, minibatch=16, hidden=8, eval_interval=32)
 TINY = CodesignConfig(
     task="Dart-v0", shape=(2, 3), population=3, budget=6, finetune_steps=32, search=SearchConfig(rounds=3),
-    ppo=replace(PPO, sharing="independent"),
+    ppo=BodyPPOConfig(
+        total_steps=64, num_worlds=4, rollout_steps=8, epochs=1, minibatch=16, hidden=8, eval_interval=32
+    ),
 )  # fmt: skip
 BODY = "HVH/S.R"
 

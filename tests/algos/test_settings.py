@@ -1,0 +1,153 @@
+"""Settings: whatever cannot work is refused where they are made, or before a run begins."""
+
+import json
+import sys
+from concurrent.futures import Executor
+from dataclasses import asdict, fields, replace
+
+import numpy as np
+import pytest
+
+from evogymcm.algos import BodyPPOConfig, PPOConfig, RunFolder
+from evogymcm.algos.codesign import CodesignConfig, SearchConfig, codesign
+from evogymcm.algos.codesign_cost import cost_of
+from evogymcm.algos.evolution import GeneticAlgorithm, RandomSearch
+from evogymcm.algos.generation import Arena
+from evogymcm.algos.parallel import codesign_all
+
+CONFIGS = (PPOConfig(), BodyPPOConfig(), SearchConfig(), CodesignConfig())
+TEXTS = {"network", "context", "sharing", "acceptance", "noise", "proposal", "task", "arm", "method", "edge_rule"}
+FLAGS = {"decay_learning_rate", "inherit"}
+GROUPS = {"schedule", "shape", "weights", "rungs", "keep", "search", "ppo"}
+OPTIONAL = {"hidden", "eval_worlds", "max_env_steps", "inherit_std", "finetune_steps", "num_threads"}
+
+
+@pytest.mark.parametrize("config", CONFIGS, ids=lambda config: type(config).__name__)
+def test_every_field_refuses_what_is_of_another_kind(config):
+    wrong = {"text": "x", "none": None, "object": object(), "nan": np.nan, "list": [1.0, 2.0, 3.0]}
+    for field in fields(config):
+        name = field.name
+        kinds = set(wrong)
+        if name in OPTIONAL:
+            kinds -= {"none"}
+        if name == "task":
+            kinds -= {"text"}  # whether there is such a task is checked when a run starts
+        for kind in sorted(kinds):
+            with pytest.raises(ValueError, match=rf"^{name}: got |^{name}: "):
+                replace(config, **{name: wrong[kind]})
+        if name not in TEXTS | FLAGS | GROUPS:
+            for value in (-1, True, np.inf, [3]):
+                with pytest.raises(ValueError, match=f"^{name}: got "):
+                    replace(config, **{name: value})
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"shape": (5, 5, 5)}, "shape: got"),
+        ({"shape": (0, 5)}, "shape: got 0, expected a whole number of at least 1"),
+        ({"shape": (2.5, 2)}, "shape: got 2.5"),
+        ({"shape": (1, 1)}, r"budget: got 32, there are at most 2 bodies of shape \(1, 1\)"),
+        ({"population": 2.5}, "population: got 2.5"),
+        ({"population": 33}, "population: got 33, expected 1 to 32"),
+        ({"population": 2}, "population: got 2, expected at least 3"),
+        ({"mutation_rate": 0.0}, "mutation_rate: got 0.0, expected a finite number above 0 and at most 1"),
+        ({"mutation_rate": 1.5}, "mutation_rate: got 1.5"),
+        ({"weights": (1, 1, 1, 0, 0)}, "weights: got"),
+        ({"rungs": (0.5, 0.25), "keep": (0.5, 0.5)}, "rungs: got"),
+        ({"rungs": (0.5,), "keep": (0.0,)}, "keep: got"),
+        ({"rungs": 0.5, "keep": 0.5}, "rungs: got 0.5, expected a sequence of numbers"),
+        ({"prescribed": 0.4}, "prescribed: got 0.4, expected a finite number at least 0.5 and at most 2"),
+        ({"edge_rule": "mean"}, "edge_rule: got 'mean', allowed are mean_factor, mean_stiffness"),
+        ({"age_protection": 1, "method": "random"}, "age_protection: got 1, method 'random' has none"),
+        ({"ppo": PPOConfig(total_steps=50_000)}, "ppo: got a PPOConfig, expected a BodyPPOConfig"),
+        ({"ppo": BodyPPOConfig(seed=3)}, "ppo.seed: got 3, in co-design it comes from seed"),
+        (
+            {"ppo": BodyPPOConfig(schedule=(0.5, 1))},
+            r"ppo.schedule: got \(0.5, 1.0\), in co-design it",
+        ),
+    ],
+)
+def test_bad_settings_of_codesign_are_refused(changes, message):
+    with pytest.raises(ValueError, match=message):
+        CodesignConfig(**changes)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"noise": "pink"}, "noise: got 'pink', allowed are multiplicative, additive"),
+        ({"acceptance": "any"}, "acceptance: got 'any', allowed are reference, paper"),
+        ({"proposal": "random"}, "proposal: got 'random', allowed are hill-climbing, cma"),
+        ({"proposal": "cma", "candidates": 1}, "candidates: got 1, proposal 'cma' needs at least 2"),
+        ({"rounds": 0}, "rounds: got 0"),
+        ({"probability": 1.1}, "probability: got 1.1"),
+        ({"sigma": 0}, "sigma: got 0"),
+    ],
+)
+def test_bad_settings_of_the_material_search_are_refused(changes, message):
+    with pytest.raises(ValueError, match=message):
+        SearchConfig(**changes)
+
+
+def test_missing_packages_are_named_before_any_work(monkeypatch):
+    monkeypatch.setitem(sys.modules, "cma", None)
+    with pytest.raises(ImportError, match=r"evogymcm\[cma\]"):
+        SearchConfig(proposal="cma", candidates=4)
+    monkeypatch.setitem(sys.modules, "ribs.archives", None)
+    with pytest.raises(ImportError, match=r"evogymcm\[qd\]"):
+        CodesignConfig(method="qd")
+
+
+def test_numbers_of_numpy_are_taken_and_saved(tmp_path):
+    ppo = BodyPPOConfig(total_steps=1e6, num_worlds=np.int64(4), gamma=np.float32(0.5), decay_learning_rate=np.True_)
+    config = CodesignConfig(shape=np.array([3, 4]), seed=np.int64(7), rungs=[np.float64(0.5)], keep=[1], ppo=ppo)
+    plain = BodyPPOConfig(total_steps=1_000_000, num_worlds=4, gamma=0.5)
+    assert config == CodesignConfig(shape=(3, 4), seed=7, rungs=(0.5,), keep=(1.0,), ppo=plain)
+    RunFolder(tmp_path / "run", asdict(config))
+    saved = json.loads((tmp_path / "run" / "config.json").read_text())
+    assert (saved["shape"], saved["seed"], saved["ppo"]["total_steps"]) == ([3, 4], 7, 1_000_000)
+    assert type(GeneticAlgorithm((2, 3), np.int64(3), 6, seed=np.int64(1)).settings["population"]) is int
+
+
+class Untouched(Executor):
+    """Nothing may be submitted."""
+
+    def submit(self, fn, /, *args, **kwargs):
+        raise AssertionError("a run was started")
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [({"task": "Nope-v0"}, "task: got 'Nope-v0'"), ({"task": "Climber-v0", "shape": (5, 9)}, "does not fit")],
+)
+def test_a_run_that_cannot_start_is_refused_before_any_work(changes, message, tmp_path):
+    config = CodesignConfig(**changes)
+    run = RunFolder(tmp_path / "run", asdict(config))
+    with pytest.raises(ValueError, match=message):
+        codesign(config, run=run)
+    assert [path.name for path in run.path.iterdir()] == ["config.json"]
+    with pytest.raises(ValueError, match=f"bad: .*{message}"):
+        list(codesign_all({"good": CodesignConfig(), "bad": config}, tmp_path, Untouched()))
+    with pytest.raises(ValueError, match="executor: got 4, expected a concurrent"):
+        list(codesign_all({"good": CodesignConfig()}, tmp_path, 4))
+    assert [path.name for path in tmp_path.iterdir()] == ["run"]
+    if "task" in message:
+        with pytest.raises(ValueError, match=message):
+            cost_of(config)
+
+
+def test_optimisers_check_their_numbers():
+    for arguments, message in (
+        ({"population": 2.5}, "population: got 2.5"),
+        ({"age_protection": 0.5}, "age_protection: got 0.5"),
+        ({"seed": -1}, "seed: got -1"),
+        ({"attempts": np.nan}, "attempts: got nan"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            GeneticAlgorithm(**({"shape": (3, 3), "population": 3, "budget": 6, "seed": 0} | arguments))
+    with pytest.raises(ValueError, match="batch: got '3'"):
+        RandomSearch((3, 3), 6, "3", seed=0)
+    for arguments in (("reactiv",), ("invariant", "mean"), ("invariant", "mean_factor", 0)):
+        with pytest.raises(ValueError, match=r"material: got|edge_rule: got|num_threads: got 0"):
+            Arena("Walker-v0", *arguments)
