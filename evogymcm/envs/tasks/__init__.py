@@ -1,9 +1,11 @@
 """The tasks by id. A new one is one module here, or any `Task` given to `register_task`."""
 
+import warnings
 from collections.abc import Mapping
 from types import MappingProxyType
 
-from evogymcm.envs.registration import register_gymnasium
+from evogymcm._messages import brief, known
+from evogymcm.envs.registration import TaskId, register_gymnasium
 from evogymcm.envs.task import Task
 from evogymcm.envs.tasks import climbing, manipulation, shape, stunts, walking
 
@@ -13,17 +15,35 @@ _REGISTRY: dict[str, Task] = {}
 tasks: Mapping[str, Task] = MappingProxyType(_REGISTRY)
 
 
-def register_task(task: Task) -> Task:
+def register_task(task: Task, *, replace: bool = False) -> Task:
     """Adds a task under its id, here and as `evogymcm/ID` in Gymnasium, and returns it.
 
+    A task of one's own takes the place of an earlier one of the same class (module and name), with a warning, so that
+    a notebook's cell may be run again.
+
+    Args:
+        task: The task.
+        replace: Whether it may take the place of any other task, without a warning.
+
     Raises:
-        ValueError: Where the id is taken by a different task.
+        ValueError: Where the id is taken by a task of the package or of another class, and `replace` is not given.
     """
-    if _REGISTRY.get(task.id, task) != task:
-        raise ValueError(f"task id {task.id!r} is taken")
+    former = _REGISTRY.get(task.id)
+    if former == task:
+        return task
+    if former is not None and not replace:
+        if task.id in _OWN or _class_of(former) != _class_of(task):
+            raise ValueError(
+                f"task id {brief(task.id)} is taken by a {_class_of(former)}; choose another, or give replace=True"
+            )
+        warnings.warn(f"task {brief(task.id)}: its former definition is replaced", stacklevel=2)
     _REGISTRY[task.id] = task
     register_gymnasium(task)
     return task
+
+
+def _class_of(task: Task) -> str:
+    return f"{type(task).__module__}.{type(task).__qualname__}"
 
 
 def as_task(spec: str | Task) -> Task:
@@ -34,13 +54,20 @@ def as_task(spec: str | Task) -> Task:
     """
     if isinstance(spec, Task):
         return spec
+    if isinstance(spec, TaskId):
+        return spec.task
     if spec not in _REGISTRY:
-        raise ValueError(f"task: got {spec!r}, known are {', '.join(sorted(_REGISTRY))}")
+        raise ValueError(
+            f"task: got {brief(spec)}, known are {known(spec, _REGISTRY)}; a task of your own is known in the process "
+            "that registers it, give others the task itself in place of its id"
+        )
     return _REGISTRY[spec]
 
 
+_OWN: set[str] = set()
 for _module in _MODULES:
     for _task in _module.TASKS:
         register_task(_task)
+        _OWN.add(_task.id)
 
 __all__ = ["Task", "as_task", "register_task", "tasks"]
