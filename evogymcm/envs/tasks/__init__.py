@@ -4,8 +4,10 @@ import warnings
 from collections.abc import Mapping
 from types import MappingProxyType
 
+import gymnasium
+
 from evogymcm._messages import brief, known
-from evogymcm.envs.registration import TaskId, register_gymnasium
+from evogymcm.envs.registration import NAMESPACE, register_gymnasium
 from evogymcm.envs.task import Task
 from evogymcm.envs.tasks import climbing, manipulation, shape, stunts, walking
 
@@ -38,6 +40,7 @@ def register_task(task: Task, *, replace: bool = False) -> Task:
             )
         warnings.warn(f"task {brief(task.id)}: its former definition is replaced", stacklevel=2)
     _REGISTRY[task.id] = task
+    gymnasium.registry.pop(f"{NAMESPACE}/{task.id}", None)
     register_gymnasium(task)
     return task
 
@@ -54,8 +57,6 @@ def as_task(spec: str | Task) -> Task:
     """
     if isinstance(spec, Task):
         return spec
-    if isinstance(spec, TaskId):
-        return spec.task
     if spec not in _REGISTRY:
         raise ValueError(
             f"task: got {brief(spec)}, known are {known(spec, _REGISTRY)}; a task of your own is known in the process "
