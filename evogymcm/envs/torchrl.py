@@ -21,6 +21,8 @@ from evogymcm.sim.constants import ACTUATION_HIGH, ACTUATION_LOW, STIFFNESS_HIGH
 class SoftRobotEnv(EnvBase):
     """N worlds of one task as one batched environment, for any mix of bodies.
 
+    TorchRL, and so the import of this class, makes "spawn" the start method of the process where none was set before.
+
     Bodies are padded to the largest grid, V cells, each in the upper left corner; `occupancy` and `actuators` say which
     cells count. Numbers in other cells of an action are ignored.
 
