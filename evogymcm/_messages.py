@@ -20,7 +20,7 @@ def some(values: Iterable[Any], limit: int = 5) -> str:
 
 def known(given: Any, names: Iterable[str], limit: int = 12) -> str:
     """Returns the names, or of many those that resemble what was given, and how many there are."""
-    items = sorted(names)
+    items = list(names)
     if len(items) <= limit:
         return ", ".join(items)
     alike = get_close_matches(str(given), items, 3, 0.5)

@@ -7,7 +7,7 @@ import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cache
 from pathlib import Path
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, TypeGuard, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -189,7 +189,7 @@ def as_body(spec: "Body | str | os.PathLike[str] | Sequence[str] | ArrayLike") -
     """
     if isinstance(spec, Body):
         return spec
-    if isinstance(spec, os.PathLike) or (isinstance(spec, str) and spec.strip().lower().endswith(FILE_SUFFIXES)):
+    if isinstance(spec, os.PathLike) or is_body_file(spec):
         from evogymcm._body_files import read_body  # it knows worlds, and worlds are needed by files only
 
         return read_body(Path(spec))
@@ -201,6 +201,11 @@ def as_body(spec: "Body | str | os.PathLike[str] | Sequence[str] | ArrayLike") -
             )
         return robots[spec]
     return Body(spec)
+
+
+def is_body_file(spec: object) -> "TypeGuard[str | os.PathLike[str]]":
+    """Returns whether something is the path of a body's file: a path object, or a text with its suffix."""
+    return isinstance(spec, os.PathLike) or (isinstance(spec, str) and spec.lower().endswith(FILE_SUFFIXES))
 
 
 def is_body_text(text: str) -> bool:

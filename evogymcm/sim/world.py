@@ -6,7 +6,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeGuard
 
 import numpy as np
 
@@ -27,6 +27,7 @@ from evogymcm.sim._design_tool import MOST_CELLS, read_object, write_object
 
 WORLD_DIR = Path(__file__).parent / "worlds"
 PREFAB_DIR = WORLD_DIR / "prefabs"
+FILE_SUFFIXES = (".json", ".txt")
 ROBOT = "robot"  # the name of the object that is simulated first
 _HEADER = re.compile(r"(?P<name>.+) at (?P<x>-?\d+) (?P<y>-?\d+)(?: is (?P<prefab>\S+))?$")
 
@@ -176,13 +177,27 @@ class World:
         return tuple(sorted(self.objects, key=lambda obj: (obj.name != ROBOT, obj.name)))
 
     @classmethod
-    def load(cls, name: str) -> "World":
-        """Returns the world of that name among those that come with the package, see `world_names`.
+    def load(cls, source: str | os.PathLike[str]) -> "World":
+        """Returns a world that comes with the package, see `world_names`, or that of a file.
+
+        Args:
+            source: A name; or a path object, or a text that ends with `.json` (of the EvoGym Design Tool, see
+                `from_design_tool`) or `.txt` (see `from_picture`).
 
         Raises:
-            ValueError: There is none.
+            ValueError: There is none, or it cannot be read.
         """
-        return cls.from_picture(_read(WORLD_DIR, name))
+        if not is_world_file(source):
+            return cls.from_picture(_read(WORLD_DIR, str(source)))
+        path = Path(source)
+        if path.suffix.lower() not in FILE_SUFFIXES or not path.is_file():
+            raise ValueError(f"world {brief(path.name)}: there is no such file that ends with .json or .txt")
+        if path.suffix.lower() == ".json":
+            return cls.from_design_tool(path)
+        try:
+            return cls.from_picture(path.read_text(encoding="utf-8"))
+        except ValueError as error:
+            raise ValueError(f"world {brief(path.name)}: {error}") from error
 
     @classmethod
     def from_picture(cls, text: str, name: str = "ground") -> "World":
@@ -279,6 +294,11 @@ class World:
         """Returns the content of a Design Tool JSON file for this world."""
         objects = {obj.name: write_object(obj.grid, obj.origin, obj.connections, self.width) for obj in self.objects}
         return {"grid_width": self.width, "grid_height": self.height, "objects": objects}
+
+
+def is_world_file(source: object) -> "TypeGuard[str | os.PathLike[str]]":
+    """Returns whether something is the path of a world's file, not a name: a path object, or a text with its suffix."""
+    return isinstance(source, os.PathLike) or (isinstance(source, str) and source.lower().endswith(FILE_SUFFIXES))
 
 
 def world_names() -> tuple[str, ...]:

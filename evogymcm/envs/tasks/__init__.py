@@ -1,5 +1,6 @@
 """The tasks by id. A new one is one module here, or any `Task` given to `register_task`."""
 
+import os
 import warnings
 from collections.abc import Mapping
 from types import MappingProxyType
@@ -10,6 +11,7 @@ from evogymcm._messages import brief, known
 from evogymcm.envs.registration import NAMESPACE, register_gymnasium
 from evogymcm.envs.task import Task
 from evogymcm.envs.tasks import climbing, manipulation, shape, stunts, walking
+from evogymcm.sim.world import is_world_file
 
 _MODULES = (walking, shape, manipulation, climbing, stunts)
 _REGISTRY: dict[str, Task] = {}
@@ -49,20 +51,24 @@ def _class_of(task: Task) -> str:
     return f"{type(task).__module__}.{type(task).__qualname__}"
 
 
-def as_task(spec: str | Task) -> Task:
-    """Returns the task of that id, or the task itself.
+def as_task(spec: str | os.PathLike[str] | Task) -> Task:
+    """Returns the task of that id, the task itself, or the one to walk in the world of a file, see `walking_task`.
 
     Raises:
-        ValueError: For an unknown id.
+        ValueError: For an unknown id, or a file that cannot be read.
     """
     if isinstance(spec, Task):
         return spec
-    if spec not in _REGISTRY:
-        raise ValueError(
-            f"task: got {brief(spec)}, known are {known(spec, _REGISTRY)}; a task of your own is known in the process "
-            "that registers it, give others the task itself in place of its id"
-        )
-    return _REGISTRY[spec]
+    if isinstance(spec, str) and spec in _REGISTRY:
+        return _REGISTRY[spec]
+    if is_world_file(spec):
+        from evogymcm.envs.terrain import walking_task  # which is made of tasks itself
+
+        return walking_task(spec)
+    raise ValueError(
+        f"task: got {brief(spec)}, known are {known(spec, _REGISTRY)}; a task of your own is known in the process "
+        "that registers it, give others the task itself in place of its id"
+    )
 
 
 _OWN: set[str] = set()
