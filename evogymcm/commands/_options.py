@@ -7,6 +7,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+from evogymcm._messages import brief
+
 if TYPE_CHECKING:  # both load torch or numba, which help texts do without
     import numpy as np
     from torchrl.record.loggers import Logger
@@ -89,9 +91,11 @@ def read_stiffness(texts: Sequence[str], bodies: "Sequence[str | Body]") -> "lis
         try:
             rows = [[float(number) for number in row.split(",")] for row in text.split("/")]
         except ValueError:
-            raise ValueError(f"stiffness: got {text!r}, expected a number or rows such as 2,2,2/0.5,1,0.5") from None
+            raise ValueError(
+                f"stiffness: got {brief(text)}, expected a number or rows such as 2,2,2/0.5,1,0.5"
+            ) from None
         if len({len(row) for row in rows}) > 1:
-            raise ValueError(f"stiffness: got {text!r}, whose rows differ in length")
+            raise ValueError(f"stiffness: got {brief(text)}, whose rows differ in length")
         body = as_body(spec)
         field = np.array(rows)
         fields.append(check_stiffness(np.full(body.shape, field.item()) if field.size == 1 else field, body))

@@ -7,7 +7,7 @@ import numpy as np
 from gymnasium import spaces
 from pettingzoo import ParallelEnv
 
-from evogymcm._messages import brief
+from evogymcm._messages import brief, some
 from evogymcm.body import Body
 from evogymcm.envs._human import Window
 from evogymcm.envs.core import TaskEngine
@@ -252,7 +252,7 @@ class BodiesParallelEnv(ParallelEnv[str, Observation, Action]):
             return {}, {}, {}, {}, {}
         missing = [agent for agent in live if agent not in actions]
         if missing:
-            raise ValueError(f"actions: got none for {missing}, each agent in `agents` needs one")
+            raise ValueError(f"actions: got none for {some(missing)}, each agent in `agents` needs one")
         rows = [self._index[agent] for agent in live]
         given = {head: self._spread(head, live, rows, actions) for head in self._heads}
         going = None

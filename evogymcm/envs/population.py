@@ -10,6 +10,7 @@ from torchrl.data import Composite
 from torchrl.envs import EnvBase, MarlGroupMapType
 from torchrl.envs.utils import check_marl_grouping
 
+from evogymcm._messages import brief
 from evogymcm.body import Body
 from evogymcm.envs.core import TaskEngine
 from evogymcm.envs.designs import BodySpec, as_bodies
@@ -108,7 +109,9 @@ class PopulationEnv(EnvBase):
             check_marl_grouping(groups, self.agent_names)
         except ValueError as error:
             known = f"body_0 to {self.agent_names[-1]}"
-            raise ValueError(f"group_map: got {groups}, each of {known} must be in one group: {error}") from error
+            raise ValueError(
+                f"group_map: got {brief(groups)}, each of {known} must be in one group: {brief(str(error))}"
+            ) from error
         return groups
 
     def _make_specs(self) -> None:

@@ -115,3 +115,42 @@ def test_stiffness_of_one_body_is_one_field_or_a_list_of_one(form):
 def test_stiffness_that_does_not_fit_the_bodies_is_refused(stiffness, message):
     with pytest.raises(ValueError, match=message):
         TaskEngine("Walker-v0", [LEGS, LEGS], stiffness=stiffness, num_threads=1)
+
+
+def test_an_action_of_too_few_worlds_is_refused_with_both_shapes():
+    three, one = (gymnasium.make_vec("evogymcm/Walker-v0", num_envs=n, body="Walk_Bot") for n in (3, 1))
+    single = gymnasium.make("evogymcm/Walker-v0", body="Walk_Bot").unwrapped
+    for env, shape, message in (
+        (three, (2, 10), r"got shape \(2, 10\), expected \(3, 10\)"),
+        (three, (3, 9), r"got shape \(3, 9\), expected \(3, 10\)"),
+        (three, (10,), r"got shape \(10,\), expected \(3, 10\)"),
+        (one, (10,), r"got shape \(10,\), expected \(1, 10\)"),
+        (single, (9,), r"got shape \(9,\), expected \(10,\)"),
+    ):
+        env.reset(seed=0)
+        with pytest.raises(ValueError, match=message):
+            env.step(np.ones(shape))
+
+
+def test_messages_about_many_large_bodies_are_short():
+    large, many = Body(np.full((60, 60), 3)), [LEGS] * 300
+    calls = [
+        lambda: TaskEngine("Lifter-v0", Body(np.full((3, 60), 3)), num_threads=1),
+        lambda: TaskEngine("Walker-v0", many, stiffness=np.full((300, 2, 3), 9.0), num_threads=1),
+        lambda: population_env("Walker-v0", many, group_map={"all": [f"body_{i}" for i in range(299)]}),
+        lambda: as_bodies(["HHH"] * 900 + ["HH"]),
+        lambda: as_bodies([large, [*large.grid.tolist()[:-1], [3]]]),
+        lambda: TaskEngine("Walker" * 90, LEGS),
+        lambda: make_many().step({}),
+        lambda: make_many().step({f"body_{i}": dict.fromkeys("abcdefghijklmnop" * 9, 1) for i in range(300)}),
+    ]
+
+    def make_many():
+        env = parallel_env("Walker-v0", many, num_threads=1)
+        env.reset()
+        return env
+
+    for call in calls:
+        with pytest.raises(ValueError, match=r"\w") as error:
+            call()
+        assert len(str(error.value)) < 330, str(error.value)
