@@ -28,7 +28,7 @@ def codesign_in(folder: Path, config: CodesignConfig, task: Task | None = None) 
         config: of the run.
         task: that the configuration names, for workers that have not registered it.
     """
-    if task is not None:
+    if task is not None and task.id == config.task:  # the file of a world has no id
         register_task(task, replace=True)
     return codesign(config, run=RunFolder(folder, asdict(config), resume=folder.exists()), should_stop=lambda: False)
 
