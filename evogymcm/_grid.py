@@ -6,6 +6,8 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from evogymcm._messages import brief, some
+
 EMPTY, RIGID, SOFT, H_ACT, V_ACT, FIXED = range(6)
 CELL_CHARS = ".RSHVF"  # the character of a cell code is CELL_CHARS[code]
 BODY_CHARS = CELL_CHARS[:FIXED]  # fixed cells are for terrain
@@ -61,14 +63,16 @@ def check_connections(connections: ArrayLike, grid: ArrayLike) -> Connections:
     """
     cells = np.asarray(grid)
     pairs = np.asarray(connections)
-    if pairs.ndim != 2 or len(pairs) != 2 or (pairs.size and not np.issubdtype(pairs.dtype, np.integer)):
+    if not pairs.size:
+        pairs = np.empty((2, 0), np.int64)  # how EvoGym's own files write none
+    if pairs.ndim != 2 or len(pairs) != 2 or not np.issubdtype(pairs.dtype, np.integer):
         raise ValueError(f"connections: got {pairs.dtype} of shape {pairs.shape}, expected integers of shape (2, k)")
     allowed = {(int(a), int(b)) for a, b in full_connections(cells).T}
     given = {(min(a, b), max(a, b)) for a, b in pairs.T.tolist()}
     if wrong := sorted(given - allowed):
         raise ValueError(
-            f"connections: {wrong} are not pairs of side-adjacent voxels (flat row-major indices) of "
-            f"{'/'.join(grid_rows(cells))!r}"
+            f"connections: {some(wrong)} are not pairs of side-adjacent voxels (flat row-major indices) of "
+            f"{brief('/'.join(grid_rows(cells)))}"
         )
     return np.array(sorted(given), dtype=np.int64).reshape(-1, 2).T.copy()
 
@@ -85,10 +89,21 @@ def grid_from_rows(rows: Sequence[str], chars: str = CELL_CHARS) -> Grid:
         ValueError: There is no cell, the rows differ in length, or a character is not one of `chars`.
     """
     if not rows or not rows[0] or len({len(row) for row in rows}) > 1:
-        raise ValueError(f"rows of cells: got lengths {[len(row) for row in rows]}, expected equal and above 0")
+        lengths = brief([len(row) for row in rows])
+        raise ValueError(f"rows of cells: got lengths {lengths} of {brief(list(rows))}, expected equal and above 0")
     if unknown := sorted(set("".join(rows)) - set(chars)):
-        raise ValueError(f"cells {''.join(unknown)!r}: the allowed characters are {chars!r}")
+        raise ValueError(f"cells {brief(''.join(unknown))}: the allowed characters are {chars!r}")
     return np.array([[chars.index(char) for char in row] for row in rows], dtype=np.int8)
+
+
+def as_numbers(values: ArrayLike) -> NDArray[np.float64]:
+    """Returns a new array of numbers, also of rows that are arrays in an array of objects, as data frames hold them.
+
+    Raises:
+        TypeError, ValueError: They are no numbers, or rows of different length.
+    """
+    rows = list(values) if isinstance(values, np.ndarray) and values.dtype == object and values.ndim else values
+    return np.array(rows, dtype=np.float64)
 
 
 def check_grid(grid: ArrayLike, n_codes: int) -> Grid:
@@ -98,11 +113,11 @@ def check_grid(grid: ArrayLike, n_codes: int) -> Grid:
         ValueError: The grid is not 2-D, has no cell, or holds something else than 0 ... n_codes - 1.
     """
     try:
-        cells = np.asarray(grid, dtype=np.float64)
-    except ValueError as error:
-        raise ValueError(f"grid: expected equally long rows of numbers, got {grid!r}") from error
+        cells = as_numbers(grid)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"grid: expected equally long rows of numbers, got {brief(grid)}") from error
     if cells.ndim != 2 or cells.size == 0:
         raise ValueError(f"grid: got shape {cells.shape}, expected (rows, cols), both at least 1")
     if unknown := sorted(set(cells.ravel().tolist()) - set(range(n_codes))):
-        raise ValueError(f"grid: got cell codes {unknown}, allowed are 0 to {n_codes - 1}")
+        raise ValueError(f"grid: got cell codes {some(unknown)}, allowed are 0 to {n_codes - 1}")
     return cells.astype(np.int8)

@@ -3,10 +3,11 @@
 The rules are EvoGym's; randomness comes from a numpy Generator that the caller owns.
 """
 
+import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cache
 from pathlib import Path
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, TypeGuard, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,6 +22,7 @@ from evogymcm._grid import (
     V_ACT,
     Connections,
     Grid,
+    as_numbers,
     check_connections,
     check_grid,
     full_connections,
@@ -29,6 +31,7 @@ from evogymcm._grid import (
     has_actuator,
     is_connected,
 )
+from evogymcm._messages import brief, known
 
 __all__ = [
     "EMPTY",
@@ -54,6 +57,8 @@ __all__ = [
 ]
 
 STIFFNESS_LOW, STIFFNESS_HIGH = 0.5, 2.0
+FILE_SUFFIXES = (".npz", ".npy", ".txt", ".json")  # a text that ends with one of them is a path, not a body
+_DIGITS = "01234"  # codes written as text
 SAMPLE_WEIGHTS = (0.6, 0.2, 0.2, 0.2, 0.2)  # of empty, rigid, soft, horizontal and vertical actuator
 _MAX_DRAWS = 100_000
 
@@ -65,8 +70,8 @@ class Body:
     connections play no part. Empty border rows and columns are kept, since they shift where the robot starts.
 
     Args:
-        grid: Cell codes 0 (empty) to 4 (vertical actuator) of shape (rows, cols), first row on top; or the same
-            as text, see `from_text`; or as a sequence of text rows.
+        grid: Cell codes 0 (empty) to 4 (vertical actuator) of shape (rows, cols), first row on top, in anything that
+            numpy reads; or the same as text, see `from_text`; or as a sequence of text rows.
         connections: Pairs of flat row-major cell indices of shape (2, k); each joins two side-adjacent voxels.
             By default all side-adjacent voxels are joined.
 
@@ -80,9 +85,9 @@ class Body:
     def __init__(self, grid: "str | Sequence[str] | ArrayLike", connections: ArrayLike | None = None) -> None:
         self._grid = _as_body_grid(grid)
         if not is_connected(self._grid):
-            raise ValueError(f"body {self.text!r}: its voxels must form one piece, joined side by side")
+            raise ValueError(f"body {brief(self.text)}: its voxels must form one piece, joined side by side")
         if not has_actuator(self._grid):
-            raise ValueError(f"body {self.text!r}: needs at least one actuator (H or V)")
+            raise ValueError(f"body {brief(self.text)}: needs at least one actuator (H or V)")
         full = full_connections(self._grid)
         self._connections = full if connections is None else check_connections(connections, self._grid)
         self._has_default_connections = np.array_equal(self._connections, full)
@@ -91,7 +96,10 @@ class Body:
 
     @classmethod
     def from_text(cls, text: str) -> "Body":
-        """Returns the body written as rows of `. R S H V`, top row first, separated by '/' or newlines."""
+        """Returns the body written as rows of `. R S H V`, or of the codes `0` to `4`, separated by '/' or newlines.
+
+        The top row comes first.
+        """
         return cls(text)
 
     @property
@@ -166,19 +174,44 @@ class Body:
         return Body, (self._grid, self._connections)
 
 
-def as_body(spec: "Body | str | Sequence[str] | ArrayLike") -> Body:
-    """Returns the body meant by a Body, cell codes, text rows, or the name of one of `robots`.
+def as_body(spec: "Body | str | os.PathLike[str] | Sequence[str] | ArrayLike") -> Body:
+    """Returns the body meant by a Body, cell codes, text rows, the name of one of `robots`, or a file.
+
+    A file is a path object, or a text that ends with one of these:
+
+    - `.npz`: as EvoGym saves robots, `arr_0` the cell codes and `arr_1`, where there is one, the connections;
+    - `.npy`: the cell codes;
+    - `.txt`: rows of codes, with or without blanks or commas between them, or rows of `. R S H V`;
+    - `.json`: of the EvoGym Design Tool, a robot or a world that holds one.
 
     Raises:
-        ValueError: A name is unknown, or what is described is not a valid body.
+        ValueError: A name is unknown, a file cannot be read, or what is described is not a valid body.
     """
     if isinstance(spec, Body):
         return spec
-    if isinstance(spec, str) and not set("".join(spec.split())) <= set(f"{BODY_CHARS}/"):
+    if isinstance(spec, os.PathLike) or is_body_file(spec):
+        from evogymcm._body_files import read_body  # it knows worlds, and worlds are needed by files only
+
+        return read_body(Path(spec))
+    if isinstance(spec, str) and not is_body_text(spec):
         if spec not in robots:
-            raise ValueError(f"body {spec!r}: neither rows of {BODY_CHARS!r} nor one of {', '.join(robots)}")
+            raise ValueError(
+                f"body {brief(spec)}: neither rows of {BODY_CHARS!r}, nor a file ({', '.join(FILE_SUFFIXES)}), nor one "
+                f"of {known(spec, robots)}"
+            )
         return robots[spec]
     return Body(spec)
+
+
+def is_body_file(spec: object) -> "TypeGuard[str | os.PathLike[str]]":
+    """Returns whether something is the path of a body's file: a path object, or a text with its suffix."""
+    return isinstance(spec, os.PathLike) or (isinstance(spec, str) and spec.lower().endswith(FILE_SUFFIXES))
+
+
+def is_body_text(text: str) -> bool:
+    """Returns whether a text is made of cells, in one row or in several, and so is no name and no path."""
+    cells = set("".join(text.split())) - {"/"}
+    return cells <= set(BODY_CHARS) or cells <= set(_DIGITS)
 
 
 def check_stiffness(stiffness: ArrayLike | None, body: Body) -> NDArray[np.float64]:
@@ -194,7 +227,10 @@ def check_stiffness(stiffness: ArrayLike | None, body: Body) -> NDArray[np.float
     """
     if stiffness is None:
         return np.ones(body.shape)
-    field = np.array(stiffness, dtype=np.float64)
+    try:
+        field = as_numbers(stiffness)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"stiffness: expected equally long rows of numbers, got {brief(stiffness)}") from error
     if field.shape != body.shape:
         raise ValueError(f"stiffness: got shape {field.shape}, expected the body's {body.shape}")
     field[~body.occupancy] = 1.0
@@ -210,23 +246,41 @@ def _as_body_grid(grid: "str | Sequence[str] | ArrayLike") -> Grid:
     """Returns the cell codes of any form of grid that `Body` takes."""
     if isinstance(grid, str):
         grid = grid.strip().replace("\n", "/").split("/")
+    elif hasattr(grid, "__array__"):
+        grid = np.asarray(grid)
+        grid = list(grid) if grid.dtype.kind in "OU" else grid  # rows of text, or arrays, as data frames hold them
     if isinstance(grid, list | tuple) and grid and all(isinstance(row, str) for row in grid):
-        return grid_from_rows([row.strip() for row in grid], BODY_CHARS)
+        rows = [row.strip() for row in grid]
+        if set("".join(rows)) <= set(_DIGITS):
+            rows = [row.translate(str.maketrans(_DIGITS, BODY_CHARS)) for row in rows]
+        return grid_from_rows(rows, BODY_CHARS)
     return check_grid(grid, len(BODY_CHARS))
 
 
-def sample_body(shape: tuple[int, int], rng: np.random.Generator, weights: Sequence[float] = SAMPLE_WEIGHTS) -> Body:
+def _as_rng(rng: np.random.Generator | int) -> np.random.Generator:
+    """Returns the generator, or a new one of a seed."""
+    if isinstance(rng, np.random.Generator):
+        return rng
+    if isinstance(rng, int | np.integer) and rng >= 0:
+        return np.random.default_rng(int(rng))
+    raise ValueError(f"rng: got {brief(rng)}, expected a numpy Generator or a seed (an integer of at least 0)")
+
+
+def sample_body(
+    shape: tuple[int, int], rng: np.random.Generator | int, weights: Sequence[float] = SAMPLE_WEIGHTS
+) -> Body:
     """Returns a random valid body: all cells are drawn independently, again and again until valid (EvoGym).
 
     Args:
         shape: Rows and columns.
-        rng: Source of randomness.
+        rng: Source of randomness, or a seed for one of its own.
         weights: Relative frequencies of the codes 0 to 4.
 
     Raises:
-        ValueError: The weights are not five numbers >= 0 with one above 0 for an actuator, or so many draws were
-            invalid that these weights will hardly ever give a body of this shape.
+        ValueError: The weights are not five numbers >= 0 with one above 0 for an actuator, so many draws were
+            invalid that these weights will hardly ever give a body of this shape, or `rng` is neither.
     """
+    rng = _as_rng(rng)
     if len(shape) != 2 or min(shape) < 1:
         raise ValueError(f"shape: got {shape}, expected (rows, cols), both at least 1")
     thresholds = _thresholds(weights)
@@ -238,8 +292,8 @@ def sample_body(shape: tuple[int, int], rng: np.random.Generator, weights: Seque
 
 
 def mutate_body(
-    body: Body,
-    rng: np.random.Generator,
+    body: "Body | str | os.PathLike[str] | Sequence[str] | ArrayLike",
+    rng: np.random.Generator | int,
     rate: float = 0.1,
     attempts: int = 50,
     weights: Sequence[float] = SAMPLE_WEIGHTS,
@@ -250,22 +304,23 @@ def mutate_body(
     accumulate, as in EvoGym: after an invalid one, the next mutates the invalid grid further.
 
     Args:
-        body: The parent.
-        rng: Source of randomness.
+        body: The parent, in any form that `as_body` takes.
+        rng: Source of randomness, or a seed for one of its own.
         rate: Probability that a cell is drawn anew in an attempt.
         attempts: Largest number of attempts.
         weights: Relative frequencies of the codes 0 to 4 among cells drawn anew.
 
     Raises:
-        ValueError: The rate is not a probability, there is no attempt, or the weights are none of `sample_body`.
+        ValueError: The rate is not a probability, there is no attempt, the weights or `rng` are none of
+            `sample_body`, or the parent is no valid body.
     """
     if not 0.0 <= rate <= 1.0 or attempts < 1:
         raise ValueError(f"got rate={rate}, attempts={attempts}; expected a rate from 0 to 1, at least 1 attempt")
-    thresholds = _thresholds(weights)
-    grid = body.grid
+    thresholds, rng = _thresholds(weights), _as_rng(rng)
+    grid = as_body(body).grid
     for _ in range(attempts):
-        is_redrawn = rng.random(body.shape) < rate
-        grid = np.where(is_redrawn, _draw(thresholds, rng, body.shape), grid)
+        is_redrawn = rng.random(grid.shape) < rate
+        grid = np.where(is_redrawn, _draw(thresholds, rng, grid.shape), grid)
         if _is_valid(grid):
             return Body(grid)
     return None
@@ -283,9 +338,9 @@ def check_weights(weights: Sequence[float]) -> tuple[float, ...]:
     """
     values = np.asarray(weights, dtype=np.float64)
     if values.shape != (5,) or not np.all(np.isfinite(values) & (values >= 0.0)):
-        raise ValueError(f"weights: got {weights}, expected five finite numbers >= 0")
+        raise ValueError(f"weights: got {brief(weights)}, expected five finite numbers >= 0")
     if not values[[H_ACT, V_ACT]].any():
-        raise ValueError(f"weights: got {weights}, expected one of the last two (the actuators) above 0")
+        raise ValueError(f"weights: got {brief(weights)}, expected one of the last two (the actuators) above 0")
     return tuple(values.tolist())
 
 

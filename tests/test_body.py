@@ -1,9 +1,11 @@
 """Bodies: representation, validation, text form, sampling and mutation."""
 
+import json
 import pickle
 
 import numpy as np
 import pytest
+import torch
 
 from evogymcm.body import (
     EMPTY,
@@ -19,6 +21,9 @@ from evogymcm.body import (
     robots,
     sample_body,
 )
+from evogymcm.envs import TaskEngine
+from evogymcm.envs.designs import as_bodies
+from evogymcm.sim.world import World, WorldObject
 
 STANDARD = "HHHHH/HHHHH/HH.HH/VV.VV/VV.VV"
 
@@ -312,3 +317,118 @@ def test_mutation_drops_partial_connections_and_checks_its_arguments():
     for arguments in ({"rate": 1.5}, {"rate": np.nan}, {"attempts": 0}):
         with pytest.raises(ValueError, match="expected"):
             mutate_body(parent, rng, **arguments)
+
+
+# Files, as EvoGym and its Design Tool write them.
+
+
+def test_bodies_are_read_from_files(tmp_path):
+    body, slit = Body("HHV/R.S"), Body("HH/VV", [[0, 0, 1], [1, 2, 3]])
+    np.savez(tmp_path / "17.npz", body.grid.astype(float), body.connections)
+    np.savez(tmp_path / "bare.NPZ.npz", body.grid)
+    np.savez(tmp_path / "slit.npz", slit.grid, slit.connections)
+    np.savez(tmp_path / "one.npz", np.array([[3.0]]), np.empty(0))  # EvoGym's connections of a single voxel
+    np.save(tmp_path / "body.npy", body.grid)
+    texts = ["334\n102", "# mine\n3 3 4\n\n1 0 2\n", "3,3,4\n1,0,2,", "HHV\nR.S", "HHV/R.S"]
+    np.savetxt(tmp_path / "saved.txt", body.grid)
+    for number, text in enumerate(texts):
+        (tmp_path / f"{number}.txt").write_text(text)
+    robot = WorldObject("robot", body.grid, (3, 4))
+    world = World.load("Pusher-v0").place(robot)
+    ball = WorldObject("ball", [[3]], (20, 20))
+    files = {"robot": World(9, 9, (robot,)), "world": world, "named": world.place(ball)}
+    files["slit"] = World(9, 9, (WorldObject("new_object_1", slit.grid, (0, 0), slit.connections),))
+    for name, content in files.items():
+        (tmp_path / f"{name}.json").write_text(json.dumps(content.to_design_tool()))
+
+    read = {path.name: as_body(path) for path in tmp_path.iterdir()}
+    assert len(read) == 5 + 1 + len(texts) + 4
+    assert read.pop("slit.npz") == read.pop("slit.json") == slit
+    assert read.pop("one.npz") == Body("H")
+    assert set(read.values()) == {body}
+    assert as_body(str(tmp_path / "17.npz")) == TaskEngine("Walker-v0", tmp_path / "17.npz", num_threads=1).bodies[0]
+    assert as_body("334/102") == as_body(["334", "102"]) == body
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [
+        ("none.npz", None, "no such file"),
+        ("body.csv", "3", "ends with .npz, .npy, .txt, .json"),
+        ("broken.npz", "no archive", "broken.npz"),
+        ("broken.npy", "", "broken.npy"),
+        ("empty.txt", "# nothing\n", "lengths"),
+        ("ragged.txt", "3 3\n3", "equally long"),
+        ("words.txt", "a soft robot", "rows of cells such as"),
+        ("mixed.txt", "3H\nH3", "rows of cells such as"),
+        ("soft.txt", "22\n22", "actuator"),
+        ("broken.json", "{", "not JSON"),
+        ("ground.json", json.dumps(World.load("Walker-v0").to_design_tool()), "none of its objects has actuators"),
+        (
+            "two.json",
+            json.dumps(World(4, 1, tuple(WorldObject(n, [[3]], (x, 0)) for x, n in enumerate("ab"))).to_design_tool()),
+            "'a', 'b' have actuators",
+        ),
+    ],
+)
+def test_unreadable_body_files_are_refused_by_name(tmp_path, name, content, message):
+    path = tmp_path / name
+    if content is not None:
+        path.write_text(content)
+    with pytest.raises(ValueError, match=message) as error:
+        as_body(path)
+    assert name in str(error.value)
+
+
+def test_body_in_arrays_of_other_names_is_refused(tmp_path):
+    np.savez(tmp_path / "mine.npz", structure=np.full((2, 2), 3))
+    with pytest.raises(ValueError, match=r"expected arr_0 .* got structure"):
+        as_body(tmp_path / "mine.npz")
+
+
+# What is given may be large; what is said of it is not.
+
+
+def test_messages_are_short(tmp_path):
+    large = np.full((60, 60), 2)
+    calls = [
+        lambda: Body(large),
+        lambda: Body([*large.tolist(), [2]]),
+        lambda: Body(np.arange(3600).reshape(60, 60)),
+        lambda: Body("H" * 500 + "/H"),
+        lambda: Body("HX" * 500),
+        lambda: Body(np.full((60, 60), 3), np.arange(4000).reshape(2, 2000)),
+        lambda: as_body("walk_bot" * 90),
+        lambda: as_body([Body("H")] * 900),
+        lambda: check_stiffness(np.ones((60, 60)), Body("H")),
+        lambda: sample_body((5, 5), 0, weights=range(4000)),
+        lambda: mutate_body(large, 0),
+        lambda: as_body(f"{'long' * 50}.npz"),
+    ]
+    for call in calls:
+        with pytest.raises(ValueError, match=r"\w") as error:
+            call()
+        assert len(str(error.value)) < 300
+
+
+def test_bodies_are_taken_as_data_frames_and_tensors_hold_them():
+    pandas = pytest.importorskip("pandas")
+    codes, body = np.array([[3, 3], [0, 4]]), Body("HH/.V")
+    rows = np.empty(2, object)
+    rows[:] = list(codes)
+    column = pandas.DataFrame({"body": [codes, codes.tolist(), list(codes)]})["body"]
+    forms = [rows, codes.astype(object), np.array(["HH", ".V"]), pandas.DataFrame(codes), *column, torch.tensor(codes)]
+    forms += [pandas.Series(list(codes)), pandas.Series(["HH", ".V"])]
+    assert all(as_body(form) == body for form in forms)
+    assert as_bodies(column) == [body] * 3
+
+
+def test_mutation_and_samples_take_arrays_and_seeds():
+    expected = mutate_body(Body("HHV/RSR/H.H"), np.random.default_rng(3))
+    assert mutate_body("HHV/RSR/H.H", 3) == mutate_body(Body("HHV/RSR/H.H").grid, np.int64(3)) == expected
+    assert sample_body((4, 4), 0) == sample_body((4, 4), np.random.default_rng(0))
+    for rng in (None, -1, 0.5, np.random):
+        with pytest.raises(ValueError, match=r"rng: got .*Generator or a seed"):
+            sample_body((5, 5), rng)
+        with pytest.raises(ValueError, match="rng: got"):
+            mutate_body("HH", rng)

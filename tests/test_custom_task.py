@@ -11,6 +11,7 @@ import pytest
 import evogymcm as cm
 from evogymcm.envs.core import TaskEngine
 from evogymcm.envs.tasks import _REGISTRY
+from evogymcm.envs.tasks.walking import Walking
 from evogymcm.sim.constants import Physics
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -50,7 +51,7 @@ def test_id_cannot_be_taken_twice(example):
     task = cm.tasks["Ascent-v0"]
     assert cm.register_task(task) is task
     with pytest.raises(ValueError, match="Ascent-v0"):
-        cm.register_task(example.Ascent("Ascent-v0", example.STEPS, (1, 1), 10, ("relative",)))
+        cm.register_task(Walking("Ascent-v0", example.STEPS, (1, 1), 10, ("relative",)))
 
 
 def test_changed_physics_is_reported_and_acts():

@@ -15,12 +15,21 @@ from typing import Any
 
 from evogymcm.algos.codesign import CodesignConfig, CodesignResult, codesign
 from evogymcm.algos.runs import RunFolder
+from evogymcm.envs.tasks import Task, as_task, register_task
 
 __all__ = ["RayExecutor", "codesign_all", "codesign_in"]
 
 
-def codesign_in(folder: Path, config: CodesignConfig) -> CodesignResult:
-    """Runs co-design in a folder, or goes on with what is there; what a worker does."""
+def codesign_in(folder: Path, config: CodesignConfig, task: Task | None = None) -> CodesignResult:
+    """Runs co-design in a folder, or goes on with what is there; what a worker does.
+
+    Args:
+        folder: of the run.
+        config: of the run.
+        task: that the configuration names, for workers that have not registered it.
+    """
+    if task is not None and task.id == config.task:  # the file of a world has no id
+        register_task(task, replace=True)
     return codesign(config, run=RunFolder(folder, asdict(config), resume=folder.exists()), should_stop=lambda: False)
 
 
@@ -49,7 +58,7 @@ def codesign_all(
             raise ValueError(f"{name}: {error}") from None
     futures: dict[Future, str] = {}
     for name, config in configs.items():
-        futures[executor.submit(codesign_in, folder / name, config)] = name
+        futures[executor.submit(codesign_in, folder / name, config, as_task(config.task))] = name
     # Dask's futures are not those that `as_completed` knows.
     is_known = all(isinstance(future, Future) for future in futures)
     for future in as_completed(futures) if is_known else futures:

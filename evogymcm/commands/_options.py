@@ -7,6 +7,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+from evogymcm._messages import brief
+
 if TYPE_CHECKING:  # both load torch or numba, which help texts do without
     import numpy as np
     from torchrl.record.loggers import Logger
@@ -20,11 +22,50 @@ INTERRUPTED = 130  # exit status after Ctrl-C, as shells have it
 LoggerName = Literal["none", "csv", "tensorboard", "wandb"]
 
 
-def default_body(task: str) -> str:
-    """Returns the name of the EvoGymCM paper's robot for a task, the standard body for a task without one."""
-    from evogymcm import robot_tasks
+def choose_task(task: str | None, world: Path | None) -> str:
+    """Returns the task meant by TASK and --world: an id, or the file of the world to walk in.
 
+    Raises:
+        ValueError: There is neither, both and the task is not that of walking, or the file is no world.
+    """
+    if world is None:
+        if not task:
+            raise ValueError("TASK: needed, such as Walker-v0 (`evogymcm tasks` lists them), or --world FILE")
+        return task
+    if task not in (None, "", "Walker-v0"):
+        raise ValueError(f"world: the task in a file is to walk, got {task!r} too; leave it out")
+    from evogymcm.sim.world import World
+
+    World.load(world)
+    return str(world)
+
+
+def default_body(task: str) -> str:
+    """Returns the EvoGymCM paper's robot for a task or that of a world's file, the standard body without either."""
+    from evogymcm import robot_tasks
+    from evogymcm.sim.world import World, is_world_file
+
+    if is_world_file(task) and (robot := World.load(task).find_robot()) is not None:
+        from evogymcm.body import Body
+
+        return _as_text(Body(robot.grid, robot.connections), task)
     return next((robot for robot, own in robot_tasks.items() if own == task), STANDARD_BODY)
+
+
+def choose_bodies(texts: Sequence[str], task: str) -> list[str]:
+    """Returns the bodies of --body as texts that mean the same wherever a run is looked at; by default the task's own.
+
+    Raises:
+        ValueError: One is not valid.
+    """
+    from evogymcm.body import as_body, is_body_file
+
+    return [_as_text(as_body(text), text) if is_body_file(text) else text for text in texts or [default_body(task)]]
+
+
+def _as_text(body: "Body", path: str) -> str:
+    """Returns a file's body as rows of voxels; the file's path where its connections cannot be written so."""
+    return body.text if body.has_default_connections else path
 
 
 def read_stiffness(texts: Sequence[str], bodies: "Sequence[str | Body]") -> "list[np.ndarray] | None":
@@ -50,9 +91,11 @@ def read_stiffness(texts: Sequence[str], bodies: "Sequence[str | Body]") -> "lis
         try:
             rows = [[float(number) for number in row.split(",")] for row in text.split("/")]
         except ValueError:
-            raise ValueError(f"stiffness: got {text!r}, expected a number or rows such as 2,2,2/0.5,1,0.5") from None
+            raise ValueError(
+                f"stiffness: got {brief(text)}, expected a number or rows such as 2,2,2/0.5,1,0.5"
+            ) from None
         if len({len(row) for row in rows}) > 1:
-            raise ValueError(f"stiffness: got {text!r}, whose rows differ in length")
+            raise ValueError(f"stiffness: got {brief(text)}, whose rows differ in length")
         body = as_body(spec)
         field = np.array(rows)
         fields.append(check_stiffness(np.full(body.shape, field.item()) if field.size == 1 else field, body))

@@ -12,7 +12,8 @@ from evogymcm.commands._options import (
     Bar,
     LoggerName,
     check_logger,
-    default_body,
+    choose_bodies,
+    choose_task,
     how_to_resume,
     make_logger,
     open_run,
@@ -29,6 +30,7 @@ Ctrl-C stops at the end of the present update; --resume goes on from there.
 examples:
   evogymcm train Walker-v0 --body Walk_Bot --total-steps 200000
   evogymcm train Walker-v0 --body HHH/V.V --material invariant --stiffness 2,2,2/0.5,1,0.5
+  evogymcm train --world terrain.json --body robot.npz
   evogymcm train Walker-v0 --body Walk_Bot --run runs/first --logger csv
   evogymcm train Walker-v0 --body Walk_Bot --run runs/first --logger csv --resume"""
 
@@ -52,7 +54,9 @@ def options() -> type:
 
         Attributes:
             task: such as Walker-v0; `evogymcm tasks` lists them.
-            body: rows of voxels (HHH/S.R) or a robot's name; several learn side by side.
+            world: walk in the world of this file instead (.json of the EvoGym Design Tool, or a picture, .txt).
+            body: rows of voxels (HHH/S.R), a robot's name or a file (.npz, .npy, .txt, .json); several learn side by
+                side.
             material: whether the policy sets stiffness too ("reactive"), or stiffness belongs to the body.
             stiffness: with --material invariant, a number, or numbers in rows like the body's (2,2,2/0.5,1,0.5); one
                 for all bodies or one for each.
@@ -65,7 +69,8 @@ def options() -> type:
             ppo: settings of PPO.
         """
 
-        task: Annotated[tyro.conf.Positional[str], arg(metavar="TASK")]
+        task: Annotated[tyro.conf.Positional[str], arg(metavar="TASK", help_behavior_hint="(or --world)")] = ""
+        world: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
         body: Annotated[tuple[str, ...], arg(metavar="BODY", help_behavior_hint="(default: the task's own robot)")] = ()
         material: Literal["reactive", "invariant"] = "reactive"
         stiffness: Annotated[tuple[str, ...], arg(metavar="FIELD", help_behavior_hint="(default: 1)")] = ()
@@ -105,21 +110,23 @@ def _train(given: Any, arguments: Sequence[str]) -> int:
     from dataclasses import asdict
 
     from evogymcm.algos import Trainer, keep_freed_memory, train
+    from evogymcm.body import as_body
     from evogymcm.envs import SoftRobotEnv
 
-    bodies = list(given.body) or [default_body(given.task)]
+    task = choose_task(given.task, given.world)
+    bodies = choose_bodies(given.body, task)
     fields = read_stiffness(given.stiffness, bodies)
     make_env = partial(
         SoftRobotEnv,
-        given.task,
-        bodies=bodies,
+        task,
+        bodies=[as_body(body) for body in bodies],
         material=given.material,
         stiffness=fields,
         edge_rule=given.edge_rule,
         num_threads=given.num_threads,
     )
     config = {
-        "task": given.task,
+        "task": task,
         "bodies": bodies,
         "material": given.material,
         "stiffness": None if fields is None else [values.tolist() for values in fields],
@@ -128,17 +135,17 @@ def _train(given: Any, arguments: Sequence[str]) -> int:
     }
     check_logger(given.logger)
     Trainer(make_env, given.ppo).close()  # what cannot be trained fails here, before a folder is touched
-    path = given.run or Path("runs") / f"{given.task}-{given.material}-seed{given.ppo.seed}"
+    path = given.run or Path("runs") / f"{Path(task).stem}-{given.material}-seed{given.ppo.seed}"
     folder = open_run(path, config, resume=given.resume, overwrite=given.overwrite)
     logger = make_logger(given.logger, path)
     with Bar(given.ppo.total_steps) as bar:
         keep_freed_memory()
         result = train(make_env, given.ppo, run=folder, progress=partial(_show, bar, {}), logger=logger)
-    folder.write_json("result.json", _record(given.task, bodies, given.ppo, result))
+    folder.write_json("result.json", _record(task, bodies, given.ppo, result))
     if result.final is None:
         print(f"stopped after {result.env_steps:,} env-steps; to go on:\n  {how_to_resume('train', arguments)}")
         return INTERRUPTED
-    _print_result(result, given.task, bodies, path)
+    _print_result(result, task, bodies, path)
     return 0
 
 

@@ -6,12 +6,11 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from evogymcm.commands._options import default_body, read_stiffness
+from evogymcm.commands._options import choose_task, default_body, read_stiffness
 
 if TYPE_CHECKING:  # numba is loaded when the command runs, not for its help
     import numpy as np
 
-    from evogymcm.body import Body
     from evogymcm.commands._policies import Control
     from evogymcm.envs.core import TaskEngine
     from evogymcm.envs.render import Renderer
@@ -20,6 +19,7 @@ _MATERIALS = ("reactive", "invariant")
 _EXAMPLES = """examples:
   evogymcm watch Walker-v0 --body Walk_Bot
   evogymcm watch Walker-v0 --body HHH/V.V --material invariant --stiffness 2,2,2/0.5,1,0.5 --view stiffness
+  evogymcm watch --world terrain.json --body robot.npz
   evogymcm watch Walker-v0 --policy runs/first --out walk.mp4
   evogymcm watch BridgeWalker-v0 --policy runs/first --body HHH/V.V HHHH/V..V    # also what it has never seen"""
 
@@ -33,12 +33,18 @@ def add_parser(subparsers: Any) -> None:
         epilog=_EXAMPLES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("task", help="such as Walker-v0; `evogymcm tasks` lists them")
+    parser.add_argument("task", nargs="?", help="such as Walker-v0; `evogymcm tasks` lists them")
+    parser.add_argument(
+        "--world",
+        type=Path,
+        metavar="FILE",
+        help="walk in the world of this file instead (.json of the EvoGym Design Tool, or a picture, .txt)",
+    )
     parser.add_argument(
         "--body",
         nargs="+",
-        help="rows of voxels (HHH/S.R) or a robot's name; several stand side by side; default: the policy's, without "
-        "one the task's own robot",
+        help="rows of voxels (HHH/S.R), a robot's name or a file (.npz, .npy, .txt, .json); several stand side by "
+        "side; default: the policy's, without one the task's own robot",
     )
     parser.add_argument("--material", choices=_MATERIALS, help="default: the policy's, without one reactive")
     parser.add_argument(
@@ -94,24 +100,25 @@ def run(args: argparse.Namespace) -> int:
 
 def _engine(args: argparse.Namespace) -> "tuple[TaskEngine, Control]":
     """Returns the worlds and what drives them."""
+    from evogymcm.body import as_body
     from evogymcm.commands._policies import control_of, load_trained
     from evogymcm.envs.core import TaskEngine
     from evogymcm.envs.gaits import sine_gait
 
+    task = choose_task(args.task, args.world)
     if args.policy is None:
-        shown = args.body or [default_body(args.task)]
+        shown = [as_body(body) for body in args.body or [default_body(task)]]
         fields, material = read_stiffness(args.stiffness, shown), args.material or "reactive"
-        return TaskEngine(args.task, shown, material=material, stiffness=fields, seed=0, with_voxels=False), sine_gait
+        return TaskEngine(task, shown, material=material, stiffness=fields, seed=0, with_voxels=False), sine_gait
     trained = load_trained(args.policy)
     if args.material not in (None, trained.material):
         raise ValueError(f"material: got {args.material!r}, the policy was trained with {trained.material!r}")
-    own = trained.bodies or [default_body(args.task)]
-    bodies: list[str | Body] = args.body or own
+    bodies = [as_body(body) for body in args.body or trained.bodies or [default_body(task)]]
     fields = read_stiffness(args.stiffness, bodies)
     if fields is None and not args.body:
         fields = trained.stiffness
     material, edge_rule = trained.material, trained.edge_rule
-    engine = TaskEngine(args.task, bodies, material=material, stiffness=fields, edge_rule=edge_rule, seed=0)
+    engine = TaskEngine(task, bodies, material=material, stiffness=fields, edge_rule=edge_rule, seed=0)
     return engine, control_of(trained.policy, engine)
 
 

@@ -25,6 +25,7 @@ _HOME = {
     "Snapshot": "evogymcm.envs.task",
     "as_task": "evogymcm.envs.tasks",
     "register_task": "evogymcm.envs.tasks",
+    "walking_task": "evogymcm.envs.terrain",
 }
 __all__ = sorted(_HOME)
 

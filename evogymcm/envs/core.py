@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from evogymcm._messages import brief
 from evogymcm.body import Body
 from evogymcm.envs.designs import MATERIALS, BodySpec, as_bodies, deal_fields, on_grid
 from evogymcm.envs.reader import BlockReader, Reader, Sensed
@@ -126,7 +127,7 @@ class TaskEngine:
         try:
             return world.place(robot).simulation_order()
         except ValueError as error:
-            raise ValueError(f"body {body.text!r} does not fit in {self.task.id}: {error}") from error
+            raise ValueError(f"body {brief(body.text)} does not fit in {self.task.id}: {error}") from error
 
     def _per_body(self, describe: Callable[[Body, Topology, tuple[int, int]], np.ndarray]) -> np.ndarray:
         """Returns (N, V, ...) what `describe` says of each world's body."""

@@ -1,33 +1,58 @@
 """Designs as they are given: bodies and stiffness fields, checked, and dealt to worlds on the padded grid."""
 
+import os
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
-from evogymcm.body import Body, as_body, check_stiffness
+from evogymcm._messages import brief
+from evogymcm.body import Body, as_body, check_stiffness, is_body_text
 
 MATERIALS = ("invariant", "reactive")
 
-BodySpec = Body | str | np.ndarray | Sequence[Any]
+BodySpec = Body | str | os.PathLike[str] | np.ndarray | Sequence[Any]
 
 
 def as_bodies(bodies: Any) -> list[Body]:
-    """Returns the bodies of one body or of a list or tuple of them.
+    """Returns the bodies of one body or of several.
 
-    A list is one body where it is made of rows: strings of cells, or sequences of codes.
+    One body is anything that `as_body` takes. Whatever is made of rows is one body: a list of texts of one row each,
+    or of sequences of codes. Other lists, and arrays of shape (n, rows, cols), are several.
 
     Raises:
         ValueError: For an empty list, or a body that is not valid.
     """
-    if isinstance(bodies, Body | str) or (isinstance(bodies, np.ndarray) and bodies.ndim == 2):
+    if isinstance(bodies, Body | str | os.PathLike):
         return [as_body(bodies)]
-    items = list(bodies)
+    try:
+        items = list(np.asarray(bodies) if hasattr(bodies, "__array__") else bodies)
+    except TypeError:
+        raise ValueError(f"bodies: got {brief(bodies)}, expected a body or a list of bodies") from None
     if not items:
         raise ValueError("bodies: got none, at least one is needed")
-    if all(np.ndim(item) == 1 and not isinstance(item, Body | str) for item in items):
-        return [as_body(items)]
+    if all(_is_row(item) for item in items):
+        try:
+            return [as_body(items)]
+        except ValueError as error:
+            raise ValueError(
+                f"{error} (a list of rows is one body; one-row bodies are given as Body objects)"
+            ) from error
     return [as_body(item) for item in items]
+
+
+def _is_row(item: Any) -> bool:
+    """Returns whether something is one row of a body: cells in a text without '/', or codes."""
+    if isinstance(item, str):
+        return is_body_text(item) and "/" not in item.strip() and "\n" not in item.strip()
+    return isinstance(item, list | tuple | np.ndarray) and all(
+        _ndim(cell) == 0 and not isinstance(cell, str | Body) for cell in item
+    )
+
+
+def _ndim(value: Any) -> int:
+    """Returns how deep sequences are nested, of whatever and however unequal."""
+    return np.asarray(value, object).ndim
 
 
 def on_grid(values: np.ndarray, grid_shape: tuple[int, int], fill: Any) -> np.ndarray:
@@ -43,7 +68,8 @@ def deal_fields(
     """Returns (N, V) stiffness fields of the worlds, dealt like the bodies; None for 1 everywhere.
 
     Args:
-        stiffness: None, a field of the one body's shape, or a list of as many fields (or None) as bodies.
+        stiffness: None, a field of the one body's shape, or as many fields as bodies: a list, which may hold None, or
+            an array of shape (n, rows, cols).
         designs: The bodies.
         material: "invariant" or "reactive".
         n_worlds: N.
@@ -56,9 +82,18 @@ def deal_fields(
         return None
     if material == "reactive":
         raise ValueError("stiffness: in the reactive setting it is part of the action and cannot be given here")
-    one_each = isinstance(stiffness, list | tuple) and len(stiffness) == len(designs)
-    if len(designs) > 1 and not one_each:
-        raise ValueError(f"stiffness: {len(designs)} bodies need a list of as many fields (or None)")
-    given = list(stiffness) if one_each and np.ndim(stiffness[0]) != 1 else [stiffness]
+    given = _as_fields(stiffness)
+    if len(given) != len(designs):
+        raise ValueError(
+            f"stiffness: got {len(given)} field{'s' * (len(given) != 1)}, {len(designs)} bodies need as many: a list "
+            "of fields (or None), or an array (n, rows, cols)"
+        )
     fields = [on_grid(check_stiffness(f, body), grid_shape, 1.0) for f, body in zip(given, designs, strict=True)]
     return np.stack([fields[i % len(fields)] for i in range(n_worlds)])
+
+
+def _as_fields(stiffness: Any) -> list[Any]:
+    """Returns the fields of one or of several."""
+    values = np.asarray(stiffness) if hasattr(stiffness, "__array__") else stiffness
+    several = isinstance(values, list | tuple | np.ndarray) and any(_ndim(part) != 1 for part in values)
+    return list(values) if several else [values]

@@ -57,7 +57,8 @@ class _ActionGrid:
         """Returns (N, V) actuation and stiffness; ValueError for another number of values or NaN."""
         actions = np.asarray(actions, np.float64)
         if actions.shape != self._shape:
-            raise ValueError(f"action: got shape {actions.shape[1:]}, expected {self._shape[1:]}")
+            one = 1 if actions.shape[:1] == self._shape[:1] == (1,) else 0  # of a single world the action's own shape
+            raise ValueError(f"action: got shape {actions.shape[one:]}, expected {self._shape[one:]}")
         actuation = np.ones(self._grid_size)
         actuation[:, self._actuators] = actions[:, : len(self._actuators)]
         if not self._is_reactive:

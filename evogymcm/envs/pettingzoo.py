@@ -7,6 +7,7 @@ import numpy as np
 from gymnasium import spaces
 from pettingzoo import ParallelEnv
 
+from evogymcm._messages import brief, some
 from evogymcm.body import Body
 from evogymcm.envs._human import Window
 from evogymcm.envs.core import TaskEngine
@@ -16,8 +17,8 @@ from evogymcm.envs.task import Task
 from evogymcm.envs.voxels import N_FEATURES, N_SIDES, N_TYPES
 from evogymcm.sim.constants import ACTUATION_HIGH, ACTUATION_LOW, STIFFNESS_HIGH, STIFFNESS_LOW, Physics
 
-Observation = dict[str, np.ndarray]
-Action = Mapping[str, np.ndarray]
+Observation = dict[str, np.ndarray] | np.ndarray
+Action = Mapping[str, np.ndarray] | np.ndarray
 _RANGES = {"actuation": (ACTUATION_LOW, ACTUATION_HIGH), "stiffness": (STIFFNESS_LOW, STIFFNESS_HIGH)}
 
 
@@ -33,6 +34,10 @@ class BodiesParallelEnv(ParallelEnv[str, Observation, Action]):
     the task's own global observations. It acts with a dict of `actuation` (V,) in [0.6, 1.6] and, in the reactive
     setting, `stiffness` (V,) in [0.5, 2]. Its `info` holds the numbers `score` (the episode's rewards but the last),
     `return` (all of them), `unstable`, and `com_x` and `com_y` in metres.
+
+    With `flat=True` observations and actions are float32 vectors instead, for what knows no dicts: the same parts in
+    the order of `gymnasium.spaces.flatten`, by name: `actuators`, `occupancy`, `task`, `types`, `voxels`; `actuation`,
+    `stiffness`.
 
     `reset(options={"bodies": [...], "stiffness": [...]})` takes new designs, from then on: as many as before, within
     the padded grid. Other options are ignored.
@@ -50,6 +55,10 @@ class BodiesParallelEnv(ParallelEnv[str, Observation, Action]):
         render_mode: "rgb_array" (`render` returns a picture of all bodies), "human" (a window at every step) or None.
         render_options: Keywords of `Renderer`: width, height, view, legend.
         physics: Constants; the benchmark's by default.
+        flat: Whether observations and actions are vectors.
+
+    Attributes:
+        np_random: The generator that `seed` makes, for new designs that come without a seed, and for wrappers.
 
     Raises:
         ValueError: For bad arguments, as `TaskEngine`, and in `reset` for designs that do not fit the spaces; in a step
@@ -77,11 +86,13 @@ class BodiesParallelEnv(ParallelEnv[str, Observation, Action]):
         render_mode: str | None = None,
         render_options: Mapping[str, Any] | None = None,
         physics: Physics | None = None,
+        flat: bool = False,
     ) -> None:
         modes = self.metadata["render_modes"]
         if render_mode not in (None, *modes):
             raise ValueError(f"render_mode: got {render_mode!r}, allowed are None and {modes}")
         self.render_mode = render_mode
+        self.flat = flat
         self._render_options = dict(render_options or {})
         self._options: dict[str, Any] = {
             "material": material,
@@ -96,7 +107,7 @@ class BodiesParallelEnv(ParallelEnv[str, Observation, Action]):
         self.possible_agents = [f"body_{i}" for i in range(len(designs))]
         self.agents: list[str] = []
         self._index = {agent: i for i, agent in enumerate(self.possible_agents)}
-        self._seeds = np.random.default_rng(seed)  # for new designs that come without a seed
+        self.np_random = np.random.default_rng(seed)
         self._build(task, designs, stiffness, seed)
         self._heads = ("actuation", "stiffness") if material == "reactive" else ("actuation",)
         self._make_spaces()
@@ -124,20 +135,20 @@ class BodiesParallelEnv(ParallelEnv[str, Observation, Action]):
         def numbers(*shape: int) -> spaces.Box:
             return spaces.Box(-np.inf, np.inf, shape, np.float32)
 
+        def flags() -> spaces.Box:
+            return spaces.Box(0, 1, (n,), np.int8)
+
+        def given(**parts: spaces.Space[Any]) -> spaces.Space[Any]:
+            return spaces.flatten_space(spaces.Dict(parts)) if self.flat else spaces.Dict(parts)
+
+        types = spaces.Box(0, N_TYPES - 1, (n, N_SIDES), np.uint8)
+        voxels, task = numbers(n, N_FEATURES), numbers(n_features)
         self.observation_spaces = {
-            agent: spaces.Dict(
-                {
-                    "voxels": numbers(n, N_FEATURES),
-                    "types": spaces.Box(0, N_TYPES - 1, (n, N_SIDES), np.uint8),
-                    "occupancy": spaces.MultiBinary(n),
-                    "actuators": spaces.MultiBinary(n),
-                    "task": numbers(n_features),
-                }
-            )
+            agent: given(voxels=voxels, types=types, occupancy=flags(), actuators=flags(), task=task)
             for agent in self.possible_agents
         }
         self.action_spaces = {
-            agent: spaces.Dict({head: spaces.Box(*_RANGES[head], (n,), np.float32) for head in self._heads})
+            agent: given(**{head: spaces.Box(*_RANGES[head], (n,), np.float32) for head in self._heads})
             for agent in self.possible_agents
         }
         self.state_space = numbers(self.max_num_agents * (n * N_FEATURES + n_features))
@@ -157,11 +168,11 @@ class BodiesParallelEnv(ParallelEnv[str, Observation, Action]):
         """V, cells of the padded grid."""
         return self.grid_shape[0] * self.grid_shape[1]
 
-    def observation_space(self, agent: str) -> spaces.Dict:
+    def observation_space(self, agent: str) -> spaces.Space[Any]:
         """Returns the agent's observation space, always the same object."""
         return self.observation_spaces[agent]
 
-    def action_space(self, agent: str) -> spaces.Dict:
+    def action_space(self, agent: str) -> spaces.Space[Any]:
         """Returns the agent's action space, always the same object."""
         return self.action_spaces[agent]
 
@@ -180,7 +191,11 @@ class BodiesParallelEnv(ParallelEnv[str, Observation, Action]):
             "actuators": actuators,
             "task": engine.features.astype(np.float32),
         }
-        return {agent: {key: rows[self._index[agent]] for key, rows in parts.items()} for agent in agents}
+        if self.flat:
+            columns = [parts[key].reshape(self.max_num_agents, -1).astype(np.float32) for key in sorted(parts)]
+            rows = np.concatenate(columns, axis=1)
+            return {agent: rows[self._index[agent]] for agent in agents}
+        return {agent: {key: values[self._index[agent]] for key, values in parts.items()} for agent in agents}
 
     def _infos(self, agents: Sequence[str]) -> dict[str, dict[str, Any]]:
         engine = self.engine
@@ -209,10 +224,10 @@ class BodiesParallelEnv(ParallelEnv[str, Observation, Action]):
         """
         options = options or {}
         if seed is not None:
-            self._seeds = np.random.default_rng(seed)
+            self.np_random = np.random.default_rng(seed)
         if "bodies" in options or "stiffness" in options:
             designs = as_bodies(options["bodies"]) if "bodies" in options else self.bodies
-            number = int(self._seeds.integers(2**31)) if seed is None else seed
+            number = int(self.np_random.integers(2**31)) if seed is None else seed
             self._build(self.task, designs, options.get("stiffness"), number)
         if seed is not None:
             self.engine.set_seed(seed)
@@ -237,7 +252,7 @@ class BodiesParallelEnv(ParallelEnv[str, Observation, Action]):
             return {}, {}, {}, {}, {}
         missing = [agent for agent in live if agent not in actions]
         if missing:
-            raise ValueError(f"actions: got none for {missing}, each agent in `agents` needs one")
+            raise ValueError(f"actions: got none for {some(missing)}, each agent in `agents` needs one")
         rows = [self._index[agent] for agent in live]
         given = {head: self._spread(head, live, rows, actions) for head in self._heads}
         going = None
@@ -260,7 +275,7 @@ class BodiesParallelEnv(ParallelEnv[str, Observation, Action]):
     def _spread(self, head: str, live: Sequence[str], rows: list[int], actions: Mapping[str, Action]) -> np.ndarray:
         """Returns one action entry of all worlds on the engine's grid, 1 in the worlds that have ended."""
         try:
-            values = np.array([actions[agent][head] for agent in live], np.float64)
+            values = np.array([self._part(actions[agent], head) for agent in live], np.float64)
         except (IndexError, KeyError, TypeError, ValueError):
             values = np.empty(0)
         if values.shape != (len(live), self.n_cells):
@@ -269,19 +284,33 @@ class BodiesParallelEnv(ParallelEnv[str, Observation, Action]):
         spread[rows] = values[:, self._cells]
         return spread
 
+    def _part(self, action: Any, head: str) -> Any:
+        """Returns one entry of an action, nothing of a vector that is not as long as all entries."""
+        if not self.flat:
+            return action[head]
+        vector, start = np.asarray(action), self._heads.index(head) * self.n_cells
+        is_whole = vector.shape == (len(self._heads) * self.n_cells,)
+        return vector[start : start + self.n_cells] if is_whole else ()
+
     def _blame(self, head: str, live: Sequence[str], actions: Mapping[str, Action]) -> None:
         """Raises a ValueError that says which agent's action is wrong."""
         for agent in live:
-            action = actions[agent]
-            if not isinstance(action, Mapping) or head not in action:
-                got = list(action) if isinstance(action, Mapping) else type(action).__name__
+            action, what, wanted = actions[agent], f"{head} of {agent}", "(cells,)"
+            size = self.n_cells
+            if self.flat:
+                value, what, size = action, f"action of {agent}", len(self._heads) * self.n_cells
+                wanted = " + ".join(f"({head},)" for head in self._heads)
+            elif not isinstance(action, Mapping) or head not in action:
+                got = brief(list(action)) if isinstance(action, Mapping) else type(action).__name__
                 raise ValueError(f"action of {agent}: got {got}, expected a dict with {list(self._heads)}")
+            else:
+                value = action[head]
             try:
-                value = np.asarray(action[head], np.float64)
+                shape = np.asarray(value, np.float64).shape
             except (TypeError, ValueError):
-                raise ValueError(f"{head} of {agent}: got {action[head]!r}, expected numbers") from None
-            if value.shape != (self.n_cells,):
-                raise ValueError(f"{head} of {agent}: got shape {value.shape}, expected (cells,) = ({self.n_cells},)")
+                raise ValueError(f"{what}: got {brief(value)}, expected numbers") from None
+            if shape != (size,):
+                raise ValueError(f"{what}: got shape {shape}, expected {wanted} = ({size},)")
 
     def state(self) -> np.ndarray:
         """Returns what all bodies observe, also those that have ended, as one float32 vector: `voxels`, then `task`."""

@@ -10,12 +10,13 @@ from torchrl.data import Composite
 from torchrl.envs import EnvBase, MarlGroupMapType
 from torchrl.envs.utils import check_marl_grouping
 
+from evogymcm._messages import brief
 from evogymcm.body import Body
 from evogymcm.envs.core import TaskEngine
 from evogymcm.envs.designs import BodySpec, as_bodies
 from evogymcm.envs.render import Renderer
 from evogymcm.envs.task import Task
-from evogymcm.envs.torchrl import SoftRobotEnv
+from evogymcm.envs.torchrl import SoftRobotEnv, check_action
 from evogymcm.sim.constants import Physics
 
 GROUP = "bodies"
@@ -51,7 +52,7 @@ class PopulationEnv(EnvBase):
         group_map: The names of each group's agents.
 
     Raises:
-        ValueError: For bad arguments, as `SoftRobotEnv`, and for groups that do not hold every agent once.
+        ValueError: For bad arguments and actions, as `SoftRobotEnv`, and for groups that do not hold every agent once.
     """
 
     _has_frame_skip = True  # 30 substeps an env-step are ours, not a transform's
@@ -108,7 +109,9 @@ class PopulationEnv(EnvBase):
             check_marl_grouping(groups, self.agent_names)
         except ValueError as error:
             known = f"body_0 to {self.agent_names[-1]}"
-            raise ValueError(f"group_map: got {groups}, each of {known} must be in one group: {error}") from error
+            raise ValueError(
+                f"group_map: got {brief(groups)}, each of {known} must be in one group: {brief(str(error))}"
+            ) from error
         return groups
 
     def _make_specs(self) -> None:
@@ -191,7 +194,13 @@ class PopulationEnv(EnvBase):
         return TensorDict({"_reset": self._ungroup(parts)}, batch_size=self.worlds.batch_size)
 
     def _step(self, tensordict: TensorDictBase) -> TensorDict:
-        actions = [tensordict.get(group).select("action") for group in self.group_map]
+        heads = ("actuation", "stiffness") if self.engine.material == "reactive" else ("actuation",)
+        actions = []
+        for group, names in self.group_map.items():
+            shape = (*self.batch_size, len(names))
+            given = tensordict.get((group, "action"), None)
+            parts = check_action(given, (group, "action"), heads, (*shape, self.engine.occupancy.shape[1]))
+            actions.append(TensorDict({"action": dict(zip(heads, parts, strict=True))}, batch_size=shape))
         return self._group(self.worlds._step(self._ungroup(actions)))
 
     def render(self, width: int = 640, height: int = 320, view: str = "types") -> torch.Tensor:

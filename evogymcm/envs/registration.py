@@ -82,7 +82,7 @@ def register_gymnasium(task: Task) -> None:
             entry_point="evogymcm.envs.gymnasium:GymnasiumEnv",
             vector_entry_point="evogymcm.envs.gymnasium:GymnasiumVectorEnv",
             max_episode_steps=task.time_limit,
-            kwargs={"task": task.id},
+            kwargs={"task": task},  # not its id, which means nothing in a process that has not registered it
         )
         spec = TaskSpec.of(gymnasium.registry[name])
         if spec.version:

@@ -9,6 +9,7 @@ from tensordict import TensorDict, TensorDictBase
 from torchrl.data import Bounded, Categorical, Composite, Unbounded
 from torchrl.envs import EnvBase
 
+from evogymcm._messages import brief, some
 from evogymcm.envs.core import TaskEngine
 from evogymcm.envs.designs import BodySpec
 from evogymcm.envs.render import Renderer
@@ -19,6 +20,8 @@ from evogymcm.sim.constants import ACTUATION_HIGH, ACTUATION_LOW, STIFFNESS_HIGH
 
 class SoftRobotEnv(EnvBase):
     """N worlds of one task as one batched environment, for any mix of bodies.
+
+    TorchRL, and so the import of this class, makes "spawn" the start method of the process where none was set before.
 
     Bodies are padded to the largest grid, V cells, each in the upper left corner; `occupancy` and `actuators` say which
     cells count. Numbers in other cells of an action are ignored.
@@ -49,7 +52,8 @@ class SoftRobotEnv(EnvBase):
         physics: Constants; the benchmark's by default.
 
     Raises:
-        ValueError: For bad arguments, as `TaskEngine`; in a step for NaN in an action.
+        ValueError: For bad arguments, as `TaskEngine`; in a step for an action that is not made of these keys, or has
+            another shape or NaN.
     """
 
     _has_frame_skip = True  # 30 substeps an env-step are ours, not a transform's
@@ -181,10 +185,10 @@ class SoftRobotEnv(EnvBase):
         return self._pack(self._observations())
 
     def _step(self, tensordict: TensorDictBase) -> TensorDict:
-        engine, action = self.engine, tensordict.get("action")
-        actuation = action.get("actuation").detach().cpu().numpy()
-        stiffness = action.get("stiffness").detach().cpu().numpy() if engine.material == "reactive" else None
-        engine.step(actuation, stiffness)
+        engine = self.engine
+        heads = ("actuation", "stiffness") if engine.material == "reactive" else ("actuation",)
+        given = check_action(tensordict.get("action", None), ("action",), heads, engine.occupancy.shape)
+        engine.step(*(values.detach().cpu().numpy() for values in given))
         values = self._observations()
         values["reward"] = engine.reward[:, None].astype(np.float32)
         values["terminated"] = engine.terminated[:, None].copy()
@@ -219,6 +223,30 @@ class SoftRobotEnv(EnvBase):
     def set_extra_state(self, state: dict[str, Any]) -> None:
         """Takes up a state of an environment made with the same arguments: a rollout goes on, or is forked, exactly."""
         self.engine.set_state(to_arrays(state))
+
+
+def check_action(action: Any, key: tuple[str, ...], heads: Sequence[str], shape: tuple[int, ...]) -> list[torch.Tensor]:
+    """Returns the tensors of an action, by their names.
+
+    Args:
+        action: What is under `key`.
+        key: Where actions are in the environment's TensorDict.
+        heads: Names of the action's tensors.
+        shape: Of each of them.
+
+    Raises:
+        ValueError: It is no TensorDict of these tensors, or a tensor has another shape.
+    """
+    values = [action.get(head, None) for head in heads] if isinstance(action, TensorDictBase) else []
+    if len(values) != len(heads) or not all(isinstance(v, torch.Tensor) and v.shape == shape for v in values):
+        got = brief(action)
+        if isinstance(action, torch.Tensor):
+            got = f"a tensor {list(action.shape)}"
+        elif isinstance(action, TensorDictBase):
+            got = some(f"{name!r} {list(getattr(value, 'shape', ()))}" for name, value in action.items()) or "nothing"
+        made_of = " and ".join(f"{(*key, head)} {list(shape)}" for head in heads)
+        raise ValueError(f"{key[-1]}: got {got}, expected {made_of}")
+    return values
 
 
 def to_tensors(value: Any) -> Any:

@@ -1,4 +1,4 @@
-"""Objects in the JSON of the EvoGym Design Tool.
+"""Objects in the JSON of the EvoGym Design Tool, read as EvoGym reads them.
 
 There an object's cells are flat indices into the world, y * width + x with y up, and its joints are listed from
 both ends. Here they are a cropped grid, first row on top, and pairs of flat indices into it.
@@ -10,43 +10,77 @@ from typing import Any
 import numpy as np
 
 from evogymcm._grid import CELL_CHARS, Connections, Grid, check_grid, full_connections
+from evogymcm._messages import brief, some
+
+MOST_CELLS = 10_000_000  # of a world; files with stray indices would otherwise fill the memory
 
 
-def read_object(
-    name: str, entry: Mapping[str, Any], width: int, height: int
-) -> tuple[Grid, tuple[int, int], Connections | None]:
-    """Returns grid, origin and connections (None: all) of an entry in a world of width x height cells.
+def read_object(entry: Any, width: int) -> tuple[Grid, tuple[int, int], Connections | None]:
+    """Returns grid, origin and connections (None: all) of an entry in a world that is `width` cells across.
+
+    How high the world is plays no part, as in EvoGym. Cells of type 0 are empty, but belong to the rectangle.
 
     Raises:
-        ValueError: Indices and types do not go together, or an index is outside the world or the object.
+        ValueError: Indices, types and neighbors do not go together, or one is out of its range.
     """
-    indices, types = np.asarray(entry.get("indices", [])), np.asarray(entry.get("types", []))
-    if indices.ndim != 1 or indices.size == 0 or indices.shape != types.shape or 0 in types:
-        raise ValueError(f"object {name!r}: expected a cell code above 0 for each index, got {dict(entry)}")
-    if indices.dtype.kind != "i" or indices.min() < 0 or indices.max() >= width * height:
-        raise ValueError(f"object {name!r}: got indices {indices.tolist()}, allowed are 0 to {width * height - 1}")
-    if len(np.unique(indices)) != len(indices):
-        raise ValueError(f"object {name!r}: indices repeat, got {indices.tolist()}")
+    if not isinstance(entry, Mapping) or not {"indices", "types"} <= set(entry):
+        raise ValueError(f"expected indices and types, got {brief(entry)}")
+    indices, types = (_numbers(name, entry[name]) for name in ("indices", "types"))
+    if len(indices) != len(types):
+        raise ValueError(f"got {len(indices)} indices and {len(types)} types, expected one type for each index")
+    if not indices.size or not types.any():
+        raise ValueError("it has no voxel")
+    if indices.min() < 0 or len(np.unique(indices)) != len(indices):
+        raise ValueError("indices must be 0 or more and not repeat, got " + some(_first_wrong(indices)))
     y, x = np.divmod(indices, width)
     left, top = x.min(), y.max()
+    if (top + 1) * width > MOST_CELLS:
+        raise ValueError(f"index {indices.max()} makes a world of {width} x {top + 1} cells, more than {MOST_CELLS:,}")
     grid = np.zeros((top - y.min() + 1, x.max() - left + 1))
     grid[top - y, x - left] = types
     cells = dict(zip(indices.tolist(), np.ravel_multi_index((top - y, x - left), grid.shape).tolist(), strict=True))
-    return (
-        check_grid(grid, len(CELL_CHARS)),
-        (int(left), int(y.min())),
-        _read_neighbors(name, entry.get("neighbors"), cells),
-    )
+    checked = check_grid(grid, len(CELL_CHARS))
+    return checked, (int(left), int(y.min())), _read_neighbors(entry.get("neighbors"), cells, checked)
 
 
-def _read_neighbors(name: str, neighbors: Mapping[str, Any] | None, cells: dict[int, int]) -> Connections | None:
-    """Returns the connections meant by neighbour lists; `cells` turns world indices into grid indices."""
+def _numbers(name: str, values: Any) -> np.ndarray:
+    """Returns a list of integers as an array, empty or not."""
+    try:
+        numbers = np.array(values, np.float64)
+    except (TypeError, ValueError):
+        numbers = np.empty((0, 0))
+    if numbers.ndim != 1 or not np.array_equal(numbers, np.trunc(numbers)) or (abs(numbers) > 2**31).any():
+        raise ValueError(f"{name}: expected a list of integers, got {brief(values)}")
+    return numbers.astype(np.int64)
+
+
+def _first_wrong(indices: np.ndarray) -> list[int]:
+    values, counts = np.unique(indices, return_counts=True)
+    return values[(values < 0) | (counts > 1)].tolist()
+
+
+def _read_neighbors(neighbors: Any, cells: dict[int, int], grid: Grid) -> Connections | None:
+    """Returns the connections meant by neighbour lists; `cells` turns world indices into grid indices.
+
+    One end is enough. As in EvoGym, pairs that do not touch with a side join nothing.
+    """
     if neighbors is None:
         return None
-    pairs = [(int(index), int(other)) for index, others in neighbors.items() for other in others]
-    if strangers := {index for pair in pairs for index in pair} - set(cells):
-        raise ValueError(f"object {name!r}: neighbors name {sorted(strangers)}, its indices are {sorted(cells)}")
-    return np.array([(cells[a], cells[b]) for a, b in pairs], dtype=np.int64).reshape(-1, 2).T
+    try:
+        pairs = [(int(index), int(other)) for index, others in neighbors.items() for other in others]
+        listed = {int(index) for index in neighbors}
+    except (AttributeError, TypeError, ValueError):
+        raise ValueError(f"neighbors: expected lists of indices by index, got {brief(neighbors)}") from None
+    if strangers := sorted((listed | {other for _, other in pairs}) - set(cells)):
+        raise ValueError(f"neighbors: {some(strangers)} are none of its {len(cells)} indices")
+    if without := sorted(set(cells) - listed):
+        raise ValueError(
+            f"neighbors: none are given for {some(without)} (an empty list joins nothing; without neighbors all cells "
+            "are joined)"
+        )
+    touching = set(map(tuple, full_connections(grid).T.tolist()))
+    joined = {(min(cells[a], cells[b]), max(cells[a], cells[b])) for a, b in pairs} & touching
+    return np.array(sorted(joined), dtype=np.int64).reshape(-1, 2).T
 
 
 def write_object(grid: Grid, origin: tuple[int, int], connections: Connections | None, width: int) -> dict[str, Any]:

@@ -6,7 +6,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeGuard
 
 import numpy as np
 
@@ -20,11 +20,14 @@ from evogymcm._grid import (
     full_connections,
     grid_from_rows,
     grid_rows,
+    has_actuator,
 )
-from evogymcm.sim._design_tool import read_object, write_object
+from evogymcm._messages import brief, known, some
+from evogymcm.sim._design_tool import MOST_CELLS, read_object, write_object
 
 WORLD_DIR = Path(__file__).parent / "worlds"
 PREFAB_DIR = WORLD_DIR / "prefabs"
+FILE_SUFFIXES = (".json", ".txt")
 ROBOT = "robot"  # the name of the object that is simulated first
 _HEADER = re.compile(r"(?P<name>.+) at (?P<x>-?\d+) (?P<y>-?\d+)(?: is (?P<prefab>\S+))?$")
 
@@ -52,13 +55,16 @@ class WorldObject:
 
     def __post_init__(self) -> None:
         if not self.name.strip() or "\n" in self.name:
-            raise ValueError(f"object name: got {self.name!r}, expected one line of text")
-        grid = check_grid(self.grid, len(CELL_CHARS))
+            raise ValueError(f"object name: got {brief(self.name)}, expected one line of text")
+        try:
+            grid = check_grid(self.grid, len(CELL_CHARS))
+        except ValueError as error:
+            raise ValueError(f"object {brief(self.name)}: {error}") from error
         if not grid.any():
-            raise ValueError(f"object {self.name!r} has no voxel")
+            raise ValueError(f"object {brief(self.name)} has no voxel")
         x, y = (int(value) for value in self.origin)
         if x < 0 or y < 0:
-            raise ValueError(f"object {self.name!r}: got origin {(x, y)}, expected cells counted from 0")
+            raise ValueError(f"object {brief(self.name)}: got origin {(x, y)}, expected cells counted from 0")
         grid.flags.writeable = False
         object.__setattr__(self, "grid", grid)
         object.__setattr__(self, "origin", (x, y))
@@ -112,22 +118,24 @@ class World:
     def __post_init__(self) -> None:
         if self.width < 1 or self.height < 1:
             raise ValueError(f"world: got width {self.width} and height {self.height}, expected both at least 1")
+        if self.width * self.height > MOST_CELLS:
+            raise ValueError(f"world: {self.width} x {self.height} cells are more than {MOST_CELLS:,}")
         cells = np.full((self.height, self.width), -1)  # which object has a voxel there; row 0 at the bottom
         names: set[str] = set()
         for number, obj in enumerate(self.objects):
             if obj.name in names:
-                raise ValueError(f"object {obj.name!r}: the world already has one of that name")
+                raise ValueError(f"object {brief(obj.name)}: the world already has one of that name")
             names.add(obj.name)
             (x, y), (right, top) = obj.origin, obj.end
             if right > self.width or top > self.height:
                 raise ValueError(
-                    f"object {obj.name!r}: ends at {(right, top)}, outside the {self.width} x {self.height} world"
+                    f"object {brief(obj.name)}: ends at {(right, top)}, outside the {self.width} x {self.height} world"
                 )
             rectangle = cells[y:top, x:right]
             if (rectangle >= 0).any():
                 raise ValueError(
-                    f"object {obj.name!r}: its bounding rectangle from {(x, y)} to {(right, top)} must be free, but "
-                    f"{self.objects[rectangle.max()].name!r} has voxels there"
+                    f"object {brief(obj.name)}: its bounding rectangle from {(x, y)} to {(right, top)} must be free, "
+                    f"but {brief(self.objects[rectangle.max()].name)} has voxels there"
                 )
             rectangle[obj.grid[::-1] != EMPTY] = number
 
@@ -136,7 +144,7 @@ class World:
         for obj in self.objects:
             if obj.name == name:
                 return obj
-        raise KeyError(f"{name!r}: the world's objects are {', '.join(obj.name for obj in self.objects)}")
+        raise KeyError(f"{brief(name)}: the world's objects are {some(obj.name for obj in self.objects)}")
 
     def place(self, obj: WorldObject) -> "World":
         """Returns this world, grown where needed, with one more object.
@@ -147,18 +155,49 @@ class World:
         right, top = obj.end
         return World(max(self.width, right), max(self.height, top), (*self.objects, obj))
 
+    def find_robot(self) -> WorldObject | None:
+        """Returns the object named "robot", else the one with actuators, None where no object has any.
+
+        Raises:
+            ValueError: Several objects have actuators, and none is named "robot".
+        """
+        robots = [obj for obj in self.objects if obj.name == ROBOT or has_actuator(obj.grid)]
+        robots = [obj for obj in robots if obj.name == ROBOT] or robots
+        if len(robots) > 1:
+            names = some(brief(obj.name) for obj in robots)
+            raise ValueError(f"world: {names} have actuators, name the one that is meant {ROBOT!r}")
+        return robots[0] if robots else None
+
+    def without(self, name: str) -> "World":
+        """Returns this world without the object of that name."""
+        return World(self.width, self.height, tuple(obj for obj in self.objects if obj.name != name))
+
     def simulation_order(self) -> tuple[WorldObject, ...]:
         """Returns the objects as EvoGym simulates them: the robot first, then by name in plain string order."""
         return tuple(sorted(self.objects, key=lambda obj: (obj.name != ROBOT, obj.name)))
 
     @classmethod
-    def load(cls, name: str) -> "World":
-        """Returns the world of that name among those that come with the package, see `world_names`.
+    def load(cls, source: str | os.PathLike[str]) -> "World":
+        """Returns a world that comes with the package, see `world_names`, or that of a file.
+
+        Args:
+            source: A name; or a path object, or a text that ends with `.json` (of the EvoGym Design Tool, see
+                `from_design_tool`) or `.txt` (see `from_picture`).
 
         Raises:
-            ValueError: There is none.
+            ValueError: There is none, or it cannot be read.
         """
-        return cls.from_picture(_read(WORLD_DIR, name))
+        if not is_world_file(source):
+            return cls.from_picture(_read(WORLD_DIR, str(source)))
+        path = Path(source)
+        if path.suffix.lower() not in FILE_SUFFIXES or not path.is_file():
+            raise ValueError(f"world {brief(path.name)}: there is no such file that ends with .json or .txt")
+        if path.suffix.lower() == ".json":
+            return cls.from_design_tool(path)
+        try:
+            return cls.from_picture(path.read_text(encoding="utf-8"))
+        except ValueError as error:
+            raise ValueError(f"world {brief(path.name)}: {error}") from error
 
     @classmethod
     def from_picture(cls, text: str, name: str = "ground") -> "World":
@@ -210,7 +249,7 @@ class World:
         lines = [f"size {self.width} {self.height}"]
         for obj in self.objects:
             if obj.connections is not None:
-                raise ValueError(f"object {obj.name!r}: a picture cannot show connections; use to_design_tool()")
+                raise ValueError(f"object {brief(obj.name)}: a picture cannot show connections; use to_design_tool()")
             lines += ["", f"object {obj.name} at {obj.origin[0]} {obj.origin[1]}", *grid_rows(obj.grid)]
         return "\n".join(lines) + "\n"
 
@@ -218,28 +257,48 @@ class World:
     def from_design_tool(cls, source: str | os.PathLike[str] | Mapping[str, Any]) -> "World":
         """Returns a world saved by the EvoGym Design Tool, its objects cropped to their bounding rectangles.
 
+        As in EvoGym, only `grid_width` says where a cell is: a world is as high as its objects need, whatever
+        `grid_height` says, and other keys are ignored.
+
         Args:
-            source: The JSON file's path or its parsed content: `grid_width`, `grid_height` and `objects`, each of
-                which has `indices` (y * grid_width + x, y up), `types` (cell codes) and `neighbors` (index to the
-                list of joined indices; where absent, all side-adjacent voxels are joined).
+            source: The JSON file's path or its parsed content: `grid_width` and `objects`, each of which has `indices`
+                (y * grid_width + x, y up), `types` (cell codes) and `neighbors` (index to the list of joined indices;
+                where absent, all side-adjacent voxels are joined).
 
         Raises:
             ValueError: Something is missing, indices or types are out of range, or the objects do not fit together.
         """
-        content = source if isinstance(source, Mapping) else json.loads(Path(source).read_text(encoding="utf-8"))
-        missing = [key for key in ("grid_width", "grid_height", "objects") if key not in content]
-        if missing:
-            raise ValueError(f"Design Tool world: {', '.join(missing)} missing, got {', '.join(content)}")
-        width, height = int(content["grid_width"]), int(content["grid_height"])
-        objects = (
-            WorldObject(name, *read_object(name, entry, width, height)) for name, entry in content["objects"].items()
-        )
-        return cls(width, height, tuple(objects))
+        what, content = "Design Tool world", source
+        if not isinstance(source, Mapping):
+            what = f"{what} {Path(source).name}"
+            try:
+                content = json.loads(Path(source).read_text(encoding="utf-8"))
+            except ValueError as error:
+                raise ValueError(f"{what}: it is not JSON ({error})") from error
+        if not isinstance(content, Mapping) or not {"grid_width", "objects"} <= set(content):
+            raise ValueError(f"{what}: needs grid_width and objects, got {brief(content)}")
+        size = [content["grid_width"], content.get("grid_height", 0)]
+        if not all(isinstance(cells, int) for cells in size) or size[0] < 1:
+            raise ValueError(f"{what}: got grid_width and grid_height {brief(size)}, expected whole numbers")
+        if not isinstance(content["objects"], Mapping):
+            raise ValueError(f"{what}: objects must be given by name, got {brief(content['objects'])}")
+        objects = []
+        for name, entry in content["objects"].items():
+            try:
+                objects.append(WorldObject(name, *read_object(entry, size[0])))
+            except ValueError as error:
+                raise ValueError(f"{what}, object {brief(name)}: {error}") from error
+        return cls(size[0], max([1, size[1], *(obj.end[1] for obj in objects)]), tuple(objects))
 
     def to_design_tool(self) -> dict[str, Any]:
         """Returns the content of a Design Tool JSON file for this world."""
         objects = {obj.name: write_object(obj.grid, obj.origin, obj.connections, self.width) for obj in self.objects}
         return {"grid_width": self.width, "grid_height": self.height, "objects": objects}
+
+
+def is_world_file(source: object) -> "TypeGuard[str | os.PathLike[str]]":
+    """Returns whether something is the path of a world's file, not a name: a path object, or a text with its suffix."""
+    return isinstance(source, os.PathLike) or (isinstance(source, str) and source.lower().endswith(FILE_SUFFIXES))
 
 
 def world_names() -> tuple[str, ...]:
@@ -268,7 +327,7 @@ def _names(folder: Path) -> tuple[str, ...]:
 def _read(folder: Path, name: str) -> str:
     """Returns the text of a file of package data."""
     if name not in _names(folder):
-        raise ValueError(f"{name!r}: there is only {', '.join(_names(folder))}")
+        raise ValueError(f"{brief(name)}: there is only {known(name, _names(folder))}")
     return (folder / f"{name}.txt").read_text(encoding="utf-8")
 
 
@@ -276,7 +335,7 @@ def _read_size(line: str) -> tuple[int, int]:
     """Returns the width and height in a line "size WIDTH HEIGHT"."""
     match = re.fullmatch(r"size (\d+) (\d+)", line)
     if match is None:
-        raise ValueError(f"picture: got the line {line!r}, expected 'size WIDTH HEIGHT'")
+        raise ValueError(f"picture: got the line {brief(line)}, expected 'size WIDTH HEIGHT'")
     return int(match[1]), int(match[2])
 
 
@@ -285,7 +344,7 @@ def _read_block(header: str, rows: list[str]) -> WorldObject:
     match = _HEADER.fullmatch(header)
     if match is None or bool(match["prefab"]) == bool(rows):
         raise ValueError(
-            f"picture: got the header 'object {header}' with {len(rows)} rows, "
+            f"picture: got the header {brief('object ' + header)} with {len(rows)} rows, "
             "expected 'object NAME at X Y' and rows, or 'object NAME at X Y is PREFAB' and none"
         )
     grid = load_prefab(match["prefab"]) if match["prefab"] else grid_from_rows(rows)

@@ -4,16 +4,19 @@ import json
 import re
 import shlex
 import signal
+from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 
+from evogymcm import Body, as_body
 from evogymcm.__main__ import main
 from evogymcm.algos import RunFolder, evaluate, load_actor
 from evogymcm.commands import _options
 from evogymcm.commands._options import read_stiffness, write_stiffness
 from evogymcm.envs import SoftRobotEnv
+from evogymcm.sim.world import World, WorldObject
 from tests.commands.tools import refused
 
 BODY, OTHER = "HHH/V.V", "VHH/S.R"
@@ -91,7 +94,7 @@ def test_a_stopped_run_goes_on_to_the_same_policy(sprint, capsys, monkeypatch):
 def test_nothing_is_touched_where_an_argument_is_bad(sprint, capsys, tmp_path):
     command = ["train", sprint, "--body", BODY, *TINY]
     for wrong, message in [
-        (["train", "Nope-v0"], "Walker-v0"),
+        (["train", "Walkr-v0"], "known are Walker-v0, "),
         ([*command, "--clip", "-1"], "clip"),
         ([*command, "--stiffness", "1"], "reactive"),
         ([*command, "--body", "Wolk_Bot"], "Walk_Bot"),
@@ -180,3 +183,49 @@ def test_stiffness_is_read_as_it_is_written():
     ):
         with pytest.raises(ValueError, match=message):
             read_stiffness(wrong, bodies)
+
+
+def test_bodies_and_worlds_come_from_files(capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    robot, slit = as_body(OTHER), Body("HH/VV", [[0, 0, 1], [1, 2, 3]])
+    np.savez("17.npz", robot.grid.astype(float), robot.connections)
+    np.savez("slit.npz", slit.grid, slit.connections)
+    world = World.load("Walker-v0").place(WorldObject("robot", robot.grid, (3, 1)))
+    Path("hills.json").write_text(json.dumps(world.to_design_tool()))
+
+    shown = ["watch", "--steps", "2", "--out", "last.png", "--width", "64", "--height", "32"]
+    for arguments in (["Walker-v0", "--body", "17.npz"], ["--world", "hills.json"], ["hills.json"]):
+        assert main([*shown, *arguments]) == 0
+        assert f"{robot.text}: 2 env-steps" in capsys.readouterr().out
+    assert (
+        main([*shown, "--world", "hills.json", "--body", "HHH", "V.V/HHH", "slit.npz"]) == 0
+    )  # two are no rows of one
+    assert [line.split(":")[0] for line in capsys.readouterr().out.splitlines()[1:]] == ["HHH", "V.V/HHH", "HH/VV"]
+
+    assert main(["train", "--world", "hills.json", *TINY, "--eval-interval", "0"]) == 0
+    run = tmp_path / "runs" / "hills-reactive-seed0"
+    config = json.loads((run / "config.json").read_text())
+    assert (config["task"], config["bodies"]) == ("hills.json", [robot.text])  # its own, as rows
+    assert main([*shown, "--policy", str(run), "hills.json"]) == 0
+    assert (
+        main(["train", "Walker-v0", "--body", "17.npz", "slit.npz", *TINY, "--eval-interval", "0", "--run", "two"]) == 0
+    )
+    assert json.loads(Path("two/config.json").read_text())["bodies"] == [robot.text, "slit.npz"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["train"], "TASK: needed"),
+        (["watch"], "TASK: needed"),
+        (["train", "--world", "none.json"], "'none.json': there is no such file"),
+        (["train", "Thrower-v0", "--world", "none.json"], "got 'Thrower-v0' too"),
+        (["watch", "none.txt"], "'none.txt': there is no such file"),
+        (["watch", "Walker-v0", "--body", "none.npz"], "body 'none.npz': there is no such file"),
+        (["train", "Walker-v0", "--body", "none.csv"], "nor a file (.npz, .npy, .txt, .json)"),
+    ],
+)
+def test_files_that_are_not_there_are_refused(capsys, tmp_path, monkeypatch, arguments, message):
+    monkeypatch.chdir(tmp_path)
+    assert message in refused(capsys, *arguments)
+    assert not list(tmp_path.iterdir())

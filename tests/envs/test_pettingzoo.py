@@ -7,6 +7,7 @@ import warnings
 import numpy as np
 import pytest
 import torch
+from gymnasium import spaces
 from pettingzoo import ParallelEnv
 from pettingzoo.test import parallel_api_test, parallel_seed_test
 from torchrl.envs import PettingZooWrapper, check_env_specs
@@ -85,6 +86,67 @@ def test_spaces_hold_what_is_given(material):
     assert env.state_space.contains(env.state())
     occupancy = env.reset()[0]["body_1"]["occupancy"]
     assert occupancy.tolist() == [1, 1, 1, 1, 1, 0, 0, 1, 0, 0, 0, 0]
+
+
+def test_masks_are_boxes():
+    observation = make_env().observation_space("body_0")
+    assert [observation[key] for key in ("occupancy", "actuators")] == [spaces.Box(0, 1, (12,), np.int8)] * 2
+
+
+@pytest.mark.parametrize("material", MATERIALS)
+def test_the_flat_form_is_the_other_one_flattened(material):
+    env, flat = make_env(LOTTERY, material=material), make_env(LOTTERY, material=material, flat=True)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        parallel_api_test(make_env(LOTTERY, material=material, flat=True), num_cycles=12)
+        parallel_seed_test(lambda: make_env("Walker-v0", material=material, flat=True), num_cycles=3)
+    views = [env.observation_space("body_1"), env.action_space("body_1")]
+    vectors = [flat.observation_space("body_1"), flat.action_space("body_1")]
+    assert vectors == [spaces.flatten_space(space) for space in views]
+    assert all(type(space) is spaces.Box and space.dtype == np.float32 for space in vectors)
+
+    def assert_flattened(got, expected):
+        assert got.keys() == expected.keys()
+        for agent in got:
+            assert vectors[0].contains(got[agent])
+            np.testing.assert_array_equal(got[agent], spaces.flatten(views[0], expected[agent]))
+
+    assert_flattened(flat.reset(seed=3)[0], env.reset(seed=3)[0])
+    seed_actions(flat)
+    while flat.agents:
+        actions = sample(flat)
+        shown = flat.step(actions)
+        expected = env.step({agent: spaces.unflatten(views[1], action) for agent, action in actions.items()})
+        assert_flattened(shown[0], expected[0])
+        assert_same(shown[1:], expected[1:])
+    designs = {"bodies": [TALL, WIDE, SMALL]}
+    assert_flattened(flat.reset(1, designs)[0], env.reset(1, designs)[0])
+
+
+@pytest.mark.parametrize(
+    ("action", "message"),
+    [
+        (np.ones(12), r"action of body_1: got shape \(12,\), expected \(actuation,\) \+ \(stiffness,\) = \(24,\)"),
+        (np.ones((2, 12)), r"got shape \(2, 12\)"),
+        ({"actuation": np.ones(12)}, "body_1: got .*expected numbers"),
+        (None, r"got shape \(\)"),
+    ],
+)
+def test_bad_flat_actions(action, message):
+    env = make_env(flat=True)
+    env.reset()
+    with pytest.raises(ValueError, match=message):
+        env.step(sample(env) | {"body_1": action})
+    assert not env.engine.length.any()
+
+
+def test_wrappers_find_a_generator_that_seeds_decide():
+    env = make_env()
+    draws = []
+    for seed in (3, 3, None):
+        env.reset(seed)
+        draws.append(env.unwrapped.np_random.integers(1000, size=4).tolist())  # as SuperSuit's frame_skip does
+    assert draws[0] == draws[1] != draws[2]
 
 
 @pytest.mark.parametrize("material", MATERIALS)
@@ -175,7 +237,7 @@ def test_nothing_given_is_changed_later():
 
 def test_new_designs_between_episodes():
     env = make_env(material="invariant", bodies=[TALL, WIDE])
-    spaces = [env.observation_space(agent) for agent in env.possible_agents]
+    same = [env.observation_space(agent) for agent in env.possible_agents]
     bodies = [SMALL, WIDE]
     fields = [
         np.where(cm.as_body(body).occupancy, factor, 1.0) for body, factor in zip(bodies, (0.7, 1.5), strict=True)
@@ -184,7 +246,7 @@ def test_new_designs_between_episodes():
     shown = play(env, 4, seed=2, options={"bodies": bodies, "stiffness": fields})
     fresh = make_env(material="invariant", bodies=bodies, stiffness=fields, grid_shape=(3, 4))
     assert_same(shown, play(fresh, 4, seed=2))
-    assert [env.observation_space(agent) for agent in env.possible_agents] == spaces
+    assert [env.observation_space(agent) for agent in env.possible_agents] == same
     assert [body.text for body in env.bodies] == bodies
     assert_same(play(env, 4, seed=2), shown)  # they stay
     plain = play(env, 4, seed=2, options={"stiffness": None})
@@ -271,7 +333,7 @@ def test_bad_designs_leave_the_environment_as_it_was(options, message):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda actions: actions.pop("body_1"), r"got none for \['body_1'\]"),
+        (lambda actions: actions.pop("body_1"), "got none for body_1, each"),
         (lambda actions: actions["body_1"].pop("stiffness"), r"body_1: got \['actuation'\], expected .*'stiffness'"),
         (lambda actions: actions.update(body_1=np.ones(12)), "body_1: got ndarray, expected a dict"),
         (lambda actions: actions["body_2"].update(actuation=np.ones(5)), r"actuation of body_2: got shape \(5,\).*12"),

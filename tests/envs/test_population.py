@@ -356,3 +356,24 @@ def test_bad_actions():
     last["bodies", "action", "actuation"][1, 1] = float("nan")
     with pytest.raises(ValueError, match="actuation: got NaN in world 1"):
         env.step(last)
+
+
+@pytest.mark.parametrize("copies", [None, 2])
+@pytest.mark.parametrize("groups", [None, "two"])
+def test_an_action_that_is_not_made_of_its_keys_is_refused_with_them(copies, groups):
+    env = make_env(copies=copies, group_map=GROUP_MAPS.get(groups))
+    group, names = list(env.group_map.items())[-1]
+    shape = [*env.batch_size, len(names), 12]
+    good = env.rand_action(env.reset())
+    for bad, got in (
+        (good.clone().set((group, "action"), torch.ones(shape)), "a tensor"),
+        (good.exclude((group, "action")), "None"),
+        (good.exclude(group), "None"),
+        (good.exclude((group, "action", "stiffness")), "'actuation'"),
+        (good.clone().set((group, "action", "stiffness"), torch.ones(*shape[:-1], 4)), ".*4"),
+    ):
+        with pytest.raises(ValueError, match=rf"action: got {got}.*\('{group}', 'action', 'stiffness'\)") as error:
+            env.step(bad)
+        assert str(shape) in str(error.value)
+    assert not env.engine.length.any()
+    env.step(good)

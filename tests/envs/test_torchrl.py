@@ -239,6 +239,29 @@ def test_actions_out_of_range_are_clipped_and_nan_is_refused():
         env.step(as_action(env, np.full((3, 6), np.nan), np.ones((3, 6))))
 
 
+@pytest.mark.parametrize("material", MATERIALS)
+@pytest.mark.parametrize(
+    ("action", "got"),
+    [
+        (torch.ones(3, 6), r"a tensor \[3, 6\]"),
+        (None, "None"),
+        (TensorDict(batch_size=[3]), "nothing"),
+        (TensorDict({"actuator": torch.ones(3, 6)}, [3]), r"'actuator' \[3, 6\]"),
+        (TensorDict({"actuation": torch.ones(3, 5)}, [3]), r"'actuation' \[3, 5\]"),
+        (TensorDict({"actuation": TensorDict({"x": torch.ones(3, 6)}, [3])}, [3]), r"'actuation' \[3\]"),
+    ],
+)
+def test_an_action_that_is_not_made_of_its_keys_is_refused_with_them(material, action, got):
+    env = make_env(material=material)
+    state = env.reset()
+    if action is not None:
+        state["action"] = action
+    keys = r"\('action', 'actuation'\) \[3, 6\]" + r" and \('action', 'stiffness'\) \[3, 6\]" * (material == "reactive")
+    with pytest.raises(ValueError, match=f"action: got {got}, expected {keys}$"):
+        env.step(state)
+    assert not env.engine.length.any()
+
+
 def test_pickled_environment_goes_on_exactly():
     env = make_env([SMALL, WIDE], 4)
     carrier = env.rollout(3)[:, -1]["next"]
