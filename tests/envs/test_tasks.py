@@ -148,8 +148,8 @@ def test_falling_off_the_left_end_is_no_goal_whatever_the_last_reward():
     move(engine, 0.09 - engine.com[0, 0], 1.0)
     move(engine, y=1.0, world=1)
     for world in range(2):
-        turn(engine, 1.0, world)  # moved outside a step, so the next pays for nothing ...
-    engine._reader.now.robot.orientation[:] = 0.5  # ... but from here on for the turn
+        turn(engine, 1.0, world)
+    engine.snapshot.robot.orientation[:] = 0.5  # so that the next step pays for half of the turn
     engine.step(idle(engine))
     assert (engine.reward > 0.0).all()
     assert engine.terminated.tolist() == [True, False]
