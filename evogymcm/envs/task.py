@@ -48,9 +48,11 @@ class Snapshot:
 
     @property
     def object(self) -> "Readings":
-        """Readings of the task's one object."""
-        (readings,) = self.objects.values()
-        return readings
+        """Readings of the task's one object; ValueError where it watches none or several."""
+        if len(self.objects) != 1:
+            names = ", ".join(self.objects) or "none"
+            raise ValueError(f"object: this task watches {names}; with one it is `object`, else `objects[name]`")
+        return next(iter(self.objects.values()))
 
     @property
     def x(self) -> np.ndarray:
@@ -72,7 +74,8 @@ class Task:
         world: Its world, or the name of one of `evogymcm.sim.world.world_names()`.
         spawn: World cell of the lower-left cell of the body array.
         time_limit: Env-steps after which an episode is cut.
-        observes: Parts of the flat observation, in order, by their names in `observation_parts`.
+        observes: Parts of the flat observation, in order, by their names in `observation_parts`. Those of a watched
+            object also go by its name, as in "offset:package": with several objects, only so.
         floor: The window under the robot, where it is observed.
         ceiling: The window over the robot, where it is observed.
         reads_hull: Whether the reward needs the hull's area.
@@ -123,10 +126,15 @@ class Task:
             "floor": now.floor,
             "ceiling": now.ceiling,
         }
-        if now.objects:
-            parts["offset"] = now.object.com - now.robot.com
-            parts["object_velocity"] = now.object.velocity
-            parts["object_orientation"] = now.object.orientation
+        for name, readings in now.objects.items():
+            own = {
+                "offset": readings.com - now.robot.com,
+                "object_velocity": readings.velocity,
+                "object_orientation": readings.orientation,
+            }
+            parts |= {f"{part}:{name}": values for part, values in own.items()}
+            if len(now.objects) == 1:
+                parts |= own
         return parts
 
     def observation(self, now: Snapshot) -> dict[str, np.ndarray]:
