@@ -152,11 +152,11 @@ class TaskEngine:
         for name in _FLAGS:
             getattr(self, name)[chosen] = False
         self._renew_voxels(mask)
+        self._reader.remember(self.memory, chosen)
         self._reader.read(chosen, self._block_reader())
 
     def _block_reader(self) -> BlockReader:
-        """Returns what reads a block into the present snapshot, which takes up the task's memory."""
-        self._reader.remember(self.memory)
+        """Returns what reads a block into the present snapshot."""
         sensed = Sensed(self.stiffness, self.actuation, self._template, self.voxels) if self.with_voxels else None
         return self._reader.block_reader(sensed)
 
@@ -196,6 +196,7 @@ class TaskEngine:
             if factors is not None:
                 self.stiffness[mask] = factors[mask]
         self._reader.turn()
+        self._reader.remember(self.memory, mask)
         self._renew_voxels(mask)
         unstable = self.simulator.step(self.actuation, factors, mask, self._block_reader())
         if mask is not None:
@@ -303,6 +304,7 @@ class TaskEngine:
         self._reader.remember(state["shown"])
 
     def refresh(self) -> None:
-        """Reads all worlds anew, after the simulator's state was changed from outside."""
+        """Reads all worlds anew, after the simulator's state or the memory was changed from outside."""
         self._renew_voxels(None)
+        self._reader.remember(self.memory)
         self._reader.read(np.ones(self.num_worlds, bool), self._block_reader())
