@@ -303,6 +303,10 @@ class TaskEngine:
         # The last observation was formed before the task's memory moved on.
         self._reader.remember(state["shown"])
 
+    def close(self) -> None:
+        """Ends the simulator's threads; a later step starts them again."""
+        self.simulator.close()
+
     def refresh(self) -> None:
         """Reads all worlds anew, after the simulator's state or the memory was changed from outside."""
         self._renew_voxels(None)

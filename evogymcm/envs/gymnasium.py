@@ -161,7 +161,8 @@ class GymnasiumEnv(gymnasium.Env[np.ndarray, np.ndarray]):
             self._window.show(self._renderer.frame())
 
     def close(self) -> None:
-        """Closes the window, where there is one."""
+        """Closes the window, where there is one, and ends the simulator's threads; a later step starts them again."""
+        self.engine.close()
         if self._window:
             self._window.close()
 
@@ -306,6 +307,10 @@ class GymnasiumVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             observation, info = self._observation(), info | self._info()
             self._ended = np.zeros(self.num_envs, bool)
         return observation, reward, terminated, truncated, info
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """Ends the simulator's threads; a later step starts them again."""
+        self.engine.close()
 
     def render(self) -> tuple[np.ndarray, ...] | None:
         """Returns a picture of each world, uint8 (height, width, 3), where `render_mode` is "rgb_array"."""

@@ -301,7 +301,8 @@ class BodiesParallelEnv(ParallelEnv[str, Observation, Action]):
             self._window.show(self._renderer.grid())
 
     def close(self) -> None:
-        """Closes the window, where there is one."""
+        """Closes the window, where there is one, and ends the simulator's threads; a later step starts them again."""
+        self.engine.close()
         if self._window:
             self._window.close()
 

@@ -84,6 +84,7 @@ class Simulator:
         self.num_threads = min(num_threads or available, len(self.blocks))
         announce_compilation(advance)
         self._pool: ThreadPoolExecutor | None = None
+        self._pool_process = 0  # the process that has the pool's threads
 
     @property
     def n_cells(self) -> int:
@@ -225,8 +226,9 @@ class Simulator:
             for job in jobs:
                 run(job)
             return
-        if self._pool is None:
+        if self._pool is None or self._pool_process != os.getpid():  # a forked process has none of the threads
             self._pool = ThreadPoolExecutor(self.num_threads - 1, thread_name_prefix="evogymcm")
+            self._pool_process = os.getpid()
         next_job = count()
 
         def work() -> None:
@@ -237,6 +239,12 @@ class Simulator:
         work()
         for other in others:
             other.result()
+
+    def close(self) -> None:
+        """Ends the threads. A later step starts them again, so that nothing is lost by closing too early."""
+        if self._pool is not None and self._pool_process == os.getpid():
+            self._pool.shutdown()
+        self._pool = None
 
     def __getstate__(self) -> dict[str, Any]:
         return self.__dict__ | {"_pool": None}
