@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from evogymcm.body import Body
+from evogymcm.envs import checks
 from evogymcm.envs.designs import MATERIALS, BodySpec, as_bodies, deal_fields, on_grid
 from evogymcm.envs.reader import BlockReader, Reader, Sensed
 from evogymcm.envs.task import Snapshot, Task
@@ -62,8 +63,9 @@ class TaskEngine:
         num_designs: How many bodies were given: world w holds design w modulo this.
 
     Raises:
-        ValueError: For an unknown task, material or edge rule, a body that is invalid or does not fit, or a stiffness
-            that is not finite, out of range, of another shape, or given in the reactive setting.
+        ValueError: For an unknown task, material or edge rule, a body that is invalid or does not fit, a stiffness
+            that is not finite, out of range, of another shape, or given in the reactive setting, and a task with
+            mistakes, see `evogymcm.testing.check_task`.
     """
 
     def __init__(
@@ -91,7 +93,9 @@ class TaskEngine:
             raise ValueError(f"num_worlds: got {n}, at least 1 is needed")
         self.num_worlds, self.num_designs = n, len(designs)
         self.bodies = tuple(designs[i % len(designs)] for i in range(n))
-        world = self.task.world if isinstance(self.task.world, World) else World.load(self.task.world)
+        with checks.blaming(self.task):
+            world = self.task.world if isinstance(self.task.world, World) else World.load(self.task.world)
+            checks.check_fields(self.task, world)
         placed = {body: self._place(world, body) for body in set(self.bodies)}
         scenes = [placed[body] for body in self.bodies]
         self.simulator = Simulator(scenes, edge_rule, physics, num_threads, placed=self.task.moves_at_reset)
@@ -119,7 +123,9 @@ class TaskEngine:
         self.terminated, self.truncated, self.unstable, self.reached = (np.zeros(n, bool) for _ in _FLAGS)
         self.set_seed(seed)
         self.memory: dict[str, np.ndarray] = {}
-        self.reset()
+        with checks.blaming(self.task):
+            self.reset()
+            checks.check_methods(self.task, self._reader.now)
         ceiling = self.task.score_ceiling(self._reader.now)
         self.score_ceiling = np.full(n, np.nan) if ceiling is None else np.array(ceiling)
 
@@ -162,11 +168,11 @@ class TaskEngine:
 
     def _draw(self, chosen: np.ndarray) -> None:
         """Draws what the episodes of the chosen worlds hold at random, each from its world's own generator."""
-        rows = {world: self.task.draw(self._rngs[world]) for world in np.flatnonzero(chosen)}
-        for world, row in rows.items():
+        for world in np.flatnonzero(chosen):
+            row = checks.checked_draw(self.task, self.task.draw(self._rngs[world]), self.memory)
+            if not self.memory:
+                self.memory = {name: np.zeros((self.num_worlds, *v.shape), v.dtype) for name, v in row.items()}
             for name, value in row.items():
-                if name not in self.memory:
-                    self.memory[name] = np.zeros((self.num_worlds, *value.shape), value.dtype)
                 self.memory[name][world] = value
 
     def step(self, actuation: np.ndarray, stiffness: np.ndarray | None = None, mask: np.ndarray | None = None) -> None:
@@ -225,14 +231,14 @@ class TaskEngine:
             return new if mask is None else np.where(mask, new, old)
 
         before, now = self._reader.before, self._reader.now
-        reward = np.asarray(self.task.reward(before, now), np.float64)
+        reward = checks.checked_reward(self.task.reward(before, now), self.num_worlds)
         terminated, reached = unstable.copy(), np.zeros_like(unstable)
         reward = reward + np.where(unstable, UNSTABLE_PENALTY, 0.0)
-        for condition, bonus, *is_goal in self.task.endings(now):
+        for condition, bonus, is_goal in checks.checked_endings(self.task, now):
             reward = reward + np.where(condition, bonus, 0.0)
-            terminated = terminated | condition
-            reached = reached | condition & (is_goal[0] if is_goal else bonus > 0)
-        for name, values in self.task.remember(now).items():
+            terminated |= condition
+            reached |= condition & is_goal
+        for name, values in checks.checked_memory(self.task.remember(now), self.memory).items():
             rows = True if mask is None else mask.reshape(-1, *([1] * (values.ndim - 1)))
             self.memory[name] = np.where(rows, values, self.memory[name])
         self.length = self.length + (1 if mask is None else mask)
