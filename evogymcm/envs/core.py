@@ -147,9 +147,9 @@ class TaskEngine:
 
     def reset(self, mask: np.ndarray | None = None) -> None:
         """Starts new episodes in the worlds of the (N,) bool mask, in all by default."""
-        chosen = np.ones(self.num_worlds, bool) if mask is None else np.asarray(mask, bool).reshape(self.num_worlds)
+        chosen = np.ones(self.num_worlds, bool) if mask is None else self._check_mask(mask)
         self._draw(chosen)
-        self.simulator.reset(chosen, self.memory.get("offset"))
+        self.simulator.reset(chosen, self.memory["offset"] if self.task.moves_at_reset else None)
         self.actuation[chosen] = 1.0
         if self.material == "reactive":
             self.stiffness[chosen] = 1.0
@@ -197,7 +197,7 @@ class TaskEngine:
             self.actuation = given
             self.stiffness = self.stiffness if factors is None else factors
         else:
-            mask = np.asarray(mask, bool).reshape(self.num_worlds)
+            mask = self._check_mask(mask)
             self.actuation[mask] = given[mask]
             if factors is not None:
                 self.stiffness[mask] = factors[mask]
@@ -213,6 +213,15 @@ class TaskEngine:
         """Gives `voxels` fresh memory, since observations are kept; with the old values, unless all are to be read."""
         if self.with_voxels:
             self.voxels = np.empty_like(self._template) if mask is None else self.voxels.copy()
+
+    def _check_mask(self, mask: Any) -> np.ndarray:
+        """Returns a mask as (N,) bool; ValueError for other numbers of worlds, and for indices."""
+        mask = np.asarray(mask)
+        if mask.dtype != bool or mask.size != self.num_worlds:
+            raise ValueError(
+                f"mask: got {mask.dtype} of shape {mask.shape}, expected bool of shape ({self.num_worlds},)"
+            )
+        return mask.reshape(self.num_worlds)
 
     def _check_action(self, name: str, values: Any, used: np.ndarray, low: float, high: float) -> np.ndarray:
         """Returns the action clipped to its range, and 1 where it is not used."""
