@@ -38,9 +38,9 @@ FIELDS = {
     "part twice": ({"observes": ("velocity", "velocity")}, "observes: got 'velocity' twice"),
     "floor without window": ({"observes": ("floor",)}, r"'floor' is not read; give the task floor=Window"),
     "object without watching": ({"observes": ("offset",)}, "observes: got 'offset'"),
-    "offset of one of two": (
-        {"world": "Pusher-v0", "watches": ("ground", "package"), "observes": ("offset",)},
-        "observes: got 'offset', there is .*offset:package",
+    "part of an unknown object": (
+        {"world": "Pusher-v0", "watches": ("ground", "package"), "observes": ("offset:pakage",)},
+        "observes: got 'offset:pakage', there is .*offset:package",
     ),
     "window that is none": ({"floor": ("ground",)}, r"floor: got \('ground',\), expected a Window"),
     "window over nothing": ({"floor": Window(())}, "floor: objects: got none"),

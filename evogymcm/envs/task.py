@@ -48,11 +48,10 @@ class Snapshot:
 
     @property
     def object(self) -> "Readings":
-        """Readings of the task's one object; ValueError where it watches none or several."""
-        if len(self.objects) != 1:
-            names = ", ".join(self.objects) or "none"
-            raise ValueError(f"object: this task watches {names}; with one it is `object`, else `objects[name]`")
-        return next(iter(self.objects.values()))
+        """Readings of the first object that the task watches; ValueError where it watches none."""
+        for readings in self.objects.values():
+            return readings
+        raise ValueError("object: this task watches none")
 
     @property
     def x(self) -> np.ndarray:
@@ -75,7 +74,7 @@ class Task:
         spawn: World cell of the lower-left cell of the body array.
         time_limit: Env-steps after which an episode is cut.
         observes: Parts of the flat observation, in order, by their names in `observation_parts`. Those of a watched
-            object also go by its name, as in "offset:package": with several objects, only so.
+            object also go by its name, as in "offset:package"; without one they are those of the first.
         floor: The window under the robot, where it is observed.
         ceiling: The window over the robot, where it is observed.
         reads_hull: Whether the reward needs the hull's area.
@@ -126,15 +125,14 @@ class Task:
             "floor": now.floor,
             "ceiling": now.ceiling,
         }
-        for name, readings in now.objects.items():
+        for i, (name, readings) in enumerate(now.objects.items()):
             own = {
                 "offset": readings.com - now.robot.com,
                 "object_velocity": readings.velocity,
                 "object_orientation": readings.orientation,
             }
             parts |= {f"{part}:{name}": values for part, values in own.items()}
-            if len(now.objects) == 1:
-                parts |= own
+            parts |= own if i == 0 else {}
         return parts
 
     def observation(self, now: Snapshot) -> dict[str, np.ndarray]:

@@ -99,16 +99,19 @@ def test_parts_of_each_watched_object_are_observed_by_name():
     for readings in (engine.snapshot.objects[name] for name in names):
         expected += [readings.com - engine.com, readings.velocity, readings.orientation[:, None]]
     np.testing.assert_array_equal(engine.flat, np.concatenate(expected, axis=1))
-    with pytest.raises(ValueError, match="ground, package"):
-        _ = engine.snapshot.object
-    # One watched object is observed under its own name as under none.
+    # Without a name it is the first.
     plain = make_engine("Pusher-v0", SMALL)
+    first = make_engine(replace(cm.tasks["Pusher-v0"], id="x", watches=("package", "ground")), SMALL)
     named = replace(
         cm.tasks["Pusher-v0"],
         id="x",
         observes=("velocity", "offset:package", "object_velocity:package", "relative"),
     )
-    assert_same(outputs(make_engine(named, SMALL)), outputs(plain))
+    named = make_engine(named, SMALL)
+    for engine in (plain, first, named):
+        step_randomly(engine, 5)
+    assert np.array_equal(named.flat, plain.flat)
+    assert_same(outputs(first), outputs(plain))
 
 
 def test_two_watched_objects_of_which_none_is_observed():
