@@ -1,4 +1,4 @@
-"""What the engine checks of a task: its fields when an engine is made, and the form of what its methods return.
+"""What the engine checks: a task's fields, the form of what its methods return, and what a step or a reset is given.
 
 `evogymcm.testing.check_task` says more of a task, and takes longer.
 """
@@ -147,6 +147,25 @@ def checked_draw(task: Task, row: Any, known: Mapping[str, np.ndarray]) -> dict[
         if offset is None or offset.shape != (2,) or (offset != np.round(offset)).any():
             raise ValueError(f"draw: 'offset' is {offset!r}, moves_at_reset needs two whole numbers of voxels")
     return result
+
+
+def checked_mask(mask: Any, n: int) -> np.ndarray:
+    """Returns a mask as (N,) bool; ValueError for other numbers of worlds, and for indices."""
+    mask = np.asarray(mask)
+    if mask.dtype != bool or mask.size != n:
+        raise ValueError(f"mask: got {_form(mask)}, expected bool of shape ({n},)")
+    return mask.reshape(n)
+
+
+def checked_action(name: str, values: Any, used: np.ndarray, low: float, high: float) -> np.ndarray:
+    """Returns the action clipped to its range, and 1 where it is not used; ValueError for other shapes, and for NaN."""
+    values = np.asarray(values, np.float64)
+    if values.shape != used.shape:
+        raise ValueError(f"{name}: got shape {values.shape}, expected (worlds, cells) = {used.shape}")
+    values = np.where(used, values, 1.0)
+    if np.isnan(values).any():
+        raise ValueError(f"{name}: got NaN in world {int(np.isnan(values).any(1).argmax())}")
+    return np.clip(values, low, high, out=values)
 
 
 def _rows(name: str, values: Any, n: int, kind: str) -> np.ndarray:

@@ -147,7 +147,7 @@ class TaskEngine:
 
     def reset(self, mask: np.ndarray | None = None) -> None:
         """Starts new episodes in the worlds of the (N,) bool mask, in all by default."""
-        chosen = np.ones(self.num_worlds, bool) if mask is None else self._check_mask(mask)
+        chosen = np.ones(self.num_worlds, bool) if mask is None else checks.checked_mask(mask, self.num_worlds)
         self._draw(chosen)
         self.simulator.reset(chosen, self.memory["offset"] if self.task.moves_at_reset else None)
         self.actuation[chosen] = 1.0
@@ -186,18 +186,18 @@ class TaskEngine:
         Raises:
             ValueError: For another shape, or NaN at a voxel that uses the number.
         """
-        given = self._check_action("actuation", actuation, self.actuators, ACTUATION_LOW, ACTUATION_HIGH)
+        given = checks.checked_action("actuation", actuation, self.actuators, ACTUATION_LOW, ACTUATION_HIGH)
         if (stiffness is None) == (self.material == "reactive"):
             needs = "needs stiffness in every action" if stiffness is None else "takes no stiffness in its actions"
             raise ValueError(f"stiffness: the {self.material} setting {needs}")
         factors = None
         if stiffness is not None:
-            factors = self._check_action("stiffness", stiffness, self.occupancy, STIFFNESS_LOW, STIFFNESS_HIGH)
+            factors = checks.checked_action("stiffness", stiffness, self.occupancy, STIFFNESS_LOW, STIFFNESS_HIGH)
         if mask is None:
             self.actuation = given
             self.stiffness = self.stiffness if factors is None else factors
         else:
-            mask = self._check_mask(mask)
+            mask = checks.checked_mask(mask, self.num_worlds)
             self.actuation[mask] = given[mask]
             if factors is not None:
                 self.stiffness[mask] = factors[mask]
@@ -213,25 +213,6 @@ class TaskEngine:
         """Gives `voxels` fresh memory, since observations are kept; with the old values, unless all are to be read."""
         if self.with_voxels:
             self.voxels = np.empty_like(self._template) if mask is None else self.voxels.copy()
-
-    def _check_mask(self, mask: Any) -> np.ndarray:
-        """Returns a mask as (N,) bool; ValueError for other numbers of worlds, and for indices."""
-        mask = np.asarray(mask)
-        if mask.dtype != bool or mask.size != self.num_worlds:
-            raise ValueError(
-                f"mask: got {mask.dtype} of shape {mask.shape}, expected bool of shape ({self.num_worlds},)"
-            )
-        return mask.reshape(self.num_worlds)
-
-    def _check_action(self, name: str, values: Any, used: np.ndarray, low: float, high: float) -> np.ndarray:
-        """Returns the action clipped to its range, and 1 where it is not used."""
-        values = np.asarray(values, np.float64)
-        if values.shape != used.shape:
-            raise ValueError(f"{name}: got shape {values.shape}, expected (worlds, cells) = {used.shape}")
-        values = np.where(used, values, 1.0)
-        if np.isnan(values).any():
-            raise ValueError(f"{name}: got NaN in world {int(np.isnan(values).any(1).argmax())}")
-        return np.clip(values, low, high, out=values)
 
     def _reward(self, mask: np.ndarray | None, unstable: np.ndarray) -> None:
         """Rewards and endings of the step, for the worlds of the mask."""
