@@ -1,6 +1,7 @@
 """Throws random bodies, materials and hard actions at the simulator, and checks that nothing breaks unseen.
 
     python benchmarks/fuzz.py --steps 5000000
+    scripts/bounds.sh                           # every world, with all indices checked
 
 Bodies are 1x1 to 10x10: random, with neighbours that are not joined, all rigid but one actuator, checkerboards. Actions
 are uniform, or jump between the ends of their range in every step; stiffness is random in every step, or 2. Checked in
@@ -19,6 +20,10 @@ from tqdm import tqdm
 
 from evogymcm.body import Body, full_connections, sample_body
 from evogymcm.envs.core import TaskEngine
+from evogymcm.envs.task import Task, Window
+from evogymcm.envs.tasks import tasks
+from evogymcm.envs.tasks.walking import Walking
+from evogymcm.sim.world import ROBOT, World, WorldObject
 
 TASKS = (
     "Walker-v0",
@@ -30,7 +35,7 @@ TASKS = (
     "Climber-v0",
 )
 N_BODIES, N_COPIES, EPISODE = 16, 4, 60
-LARGEST = {"Climber-v0": 5, "Pusher-v0": 7}  # the largest square body that the task's spawn place admits
+LARGEST = 10  # rows and columns of bodies, where the task's spawn place has room
 
 
 @dataclass
@@ -62,6 +67,28 @@ def random_body(rng: np.random.Generator, largest: int) -> Body:
     return body
 
 
+def room(task: Task) -> int:
+    """Returns the rows and columns of the largest square body that the task's spawn place admits."""
+    world = task.world if isinstance(task.world, World) else World.load(task.world)
+    for size in range(LARGEST, 1, -1):
+        try:
+            world.place(WorldObject(ROBOT, np.ones((size, size), int), task.spawn))
+        except ValueError:
+            continue
+        return size
+    return 1
+
+
+def watching_all(task: Task) -> Task:
+    """Returns a task in the same world that reads all there is: every object, and windows over all of them."""
+    world = task.world if isinstance(task.world, World) else World.load(task.world)
+    names = tuple(obj.name for obj in world.objects)
+    observes = ("velocity", "orientation", "relative", "floor", "ceiling", *(f"offset:{name}" for name in names))
+    window = Window(names, 7)
+    options = {"floor": window, "ceiling": window, "reads_hull": True, "watches": names}
+    return Walking(f"Watching {task.id}", world, task.spawn, task.time_limit, observes, **options)
+
+
 def random_actions(rng: np.random.Generator, shape: tuple[int, ...]) -> np.ndarray:
     """Returns actuation: uniform, or at the ends of the range."""
     if rng.random() < 0.5:
@@ -80,17 +107,18 @@ def check_step(engine: TaskEngine, before: list[np.ndarray]) -> None:
         assert np.array_equal(engine.simulator.positions(world=int(world)), before[world]), "an unstable world moved"
 
 
-def run_batch(task: str, rng: np.random.Generator, summary: Summary) -> None:
+def run_batch(task: Task, rng: np.random.Generator, summary: Summary, episode: int = EPISODE) -> None:
     """Steps one batch of bodies for an episode, and one of its worlds alone."""
-    bodies = [random_body(rng, LARGEST.get(task, 10)) for _ in range(N_BODIES)]
-    engine = TaskEngine(task, bodies, N_BODIES * N_COPIES, material="reactive", num_threads=1)
+    largest = room(task)
+    bodies = [random_body(rng, largest) for _ in range(N_BODIES)]
+    engine = TaskEngine(task, bodies, N_BODIES * N_COPIES, material="reactive", num_threads=1, seed=0)
     shape = engine.occupancy.shape
     is_stiff = rng.random() < 0.3
     watched = int(rng.integers(engine.num_worlds))
-    alone = TaskEngine(task, engine.bodies[watched], 1, material="reactive", num_threads=1)
+    alone = TaskEngine(task, engine.bodies[watched], 1, material="reactive", num_threads=1, seed=watched)
     rows, columns = engine.bodies[watched].shape
     cells = (np.arange(rows)[:, None] * engine.grid_shape[1] + np.arange(columns)).ravel()
-    for _ in range(EPISODE):
+    for _ in range(episode):
         actuation = random_actions(rng, shape)
         stiffness = np.full(shape, 2.0) if is_stiff else rng.uniform(0.5, 2.0, shape)
         before = [engine.simulator.positions(world=world) for world in range(engine.num_worlds)]
@@ -101,11 +129,12 @@ def run_batch(task: str, rng: np.random.Generator, summary: Summary) -> None:
         assert same, "a world depends on its neighbours"
         summary.unstable += int(engine.unstable.sum())
         for e in (engine, alone):
-            if e.terminated.any():
-                e.reset(e.terminated)
+            ended = e.terminated | e.truncated
+            if ended.any():
+                e.reset(ended)
     summary.bodies += len(bodies)
-    summary.env_steps += EPISODE * engine.num_worlds
-    summary.compared += EPISODE
+    summary.env_steps += episode * engine.num_worlds
+    summary.compared += episode
 
 
 def fuzz(steps: int, seed: int = 0, progress: Callable[[int], object] = lambda _: None) -> Summary:
@@ -113,8 +142,20 @@ def fuzz(steps: int, seed: int = 0, progress: Callable[[int], object] = lambda _
     rng, summary, start = np.random.default_rng(seed), Summary(), time.perf_counter()
     while summary.env_steps < steps:
         done = summary.env_steps
-        run_batch(TASKS[(summary.bodies // N_BODIES) % len(TASKS)], rng, summary)
+        run_batch(tasks[TASKS[(summary.bodies // N_BODIES) % len(TASKS)]], rng, summary)
         progress(summary.env_steps - done)
+    summary.seconds = time.perf_counter() - start
+    return summary
+
+
+def fuzz_worlds(episode: int, seed: int = 0, progress: Callable[[int], object] = lambda _: None) -> Summary:
+    """Runs a short batch of every task, and one in its world that reads all there is; else as `fuzz`."""
+    rng, summary, start = np.random.default_rng(seed), Summary(), time.perf_counter()
+    for task in tasks.values():
+        for variant in (task, watching_all(task)):
+            done = summary.env_steps
+            run_batch(variant, rng, summary, episode)
+            progress(summary.env_steps - done)
     summary.seconds = time.perf_counter() - start
     return summary
 
@@ -124,9 +165,16 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--steps", type=int, default=200_000)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument(
+        "--worlds", type=int, metavar="N", help="N env-steps of each task, reading all, in place of --steps"
+    )
     arguments = parser.parse_args()
-    with tqdm(total=arguments.steps, unit="env-step", unit_scale=True) as bar:
-        summary = fuzz(arguments.steps, arguments.seed, bar.update)
+    total = 2 * len(tasks) * N_BODIES * N_COPIES * arguments.worlds if arguments.worlds else arguments.steps
+    with tqdm(total=total, unit="env-step", unit_scale=True) as bar:
+        if arguments.worlds:
+            summary = fuzz_worlds(arguments.worlds, arguments.seed, bar.update)
+        else:
+            summary = fuzz(arguments.steps, arguments.seed, bar.update)
     print(", ".join(f"{name} {value:,.6g}" for name, value in asdict(summary).items()))
     return 0
 

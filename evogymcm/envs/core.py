@@ -10,6 +10,7 @@ import numpy as np
 
 from evogymcm._messages import brief
 from evogymcm.body import Body
+from evogymcm.envs import checks
 from evogymcm.envs.designs import MATERIALS, BodySpec, as_bodies, deal_fields, on_grid
 from evogymcm.envs.reader import BlockReader, Reader, Sensed
 from evogymcm.envs.task import Snapshot, Task
@@ -30,7 +31,8 @@ from evogymcm.sim.world import ROBOT, World, WorldObject
 
 UNSTABLE_PENALTY = -3.0
 # Arrays that a step can change, besides the simulator and the task's memory.
-_STATE = ("actuation", "stiffness", "reward", "score", "returns", "length", "terminated", "truncated", "unstable")
+_FLAGS = ("terminated", "truncated", "unstable", "reached")
+_STATE = ("actuation", "stiffness", "reward", "score", "returns", "length", *_FLAGS)
 
 
 class TaskEngine:
@@ -55,14 +57,16 @@ class TaskEngine:
         flat: (N, D) the task's own observation, None where bodies differ.
         features: (N, G) COM velocity, sine and cosine of the orientation, and the task's own global parts.
         reward, terminated, truncated, unstable: (N,) of the last step.
+        reached: (N,) bool, whether the last step ended the episode at a goal, see `Task.endings`.
         score: (N,) the sum of the episode's rewards but the last (the paper's score, once the episode has ended).
         returns: (N,) the sum of all of them.
         length: (N,) env-steps of the episode.
         num_designs: How many bodies were given: world w holds design w modulo this.
 
     Raises:
-        ValueError: For an unknown task, material or edge rule, a body that is invalid or does not fit, or a stiffness
-            that is not finite, out of range, of another shape, or given in the reactive setting.
+        ValueError: For an unknown task, material or edge rule, a body that is invalid or does not fit, a stiffness
+            that is not finite, out of range, of another shape, or given in the reactive setting, and a task with
+            mistakes, see `evogymcm.testing.check_task`.
     """
 
     def __init__(
@@ -90,7 +94,9 @@ class TaskEngine:
             raise ValueError(f"num_worlds: got {n}, at least 1 is needed")
         self.num_worlds, self.num_designs = n, len(designs)
         self.bodies = tuple(designs[i % len(designs)] for i in range(n))
-        world = self.task.world if isinstance(self.task.world, World) else World.load(self.task.world)
+        with checks.blaming(self.task):
+            world = self.task.world if isinstance(self.task.world, World) else World.load(self.task.world)
+            checks.check_fields(self.task, world)
         placed = {body: self._place(world, body) for body in set(self.bodies)}
         scenes = [placed[body] for body in self.bodies]
         self.simulator = Simulator(scenes, edge_rule, physics, num_threads, placed=self.task.moves_at_reset)
@@ -115,10 +121,12 @@ class TaskEngine:
             self.simulator.set_stiffness(self.stiffness)
         self.reward, self.score, self.returns = np.zeros(n), np.zeros(n), np.zeros(n)
         self.length = np.zeros(n, np.int64)
-        self.terminated, self.truncated, self.unstable = (np.zeros(n, bool) for _ in range(3))
+        self.terminated, self.truncated, self.unstable, self.reached = (np.zeros(n, bool) for _ in _FLAGS)
         self.set_seed(seed)
         self.memory: dict[str, np.ndarray] = {}
-        self.reset()
+        with checks.blaming(self.task):
+            self.reset()
+            checks.check_methods(self.task, self._reader.now)
         ceiling = self.task.score_ceiling(self._reader.now)
         self.score_ceiling = np.full(n, np.nan) if ceiling is None else np.array(ceiling)
 
@@ -140,32 +148,32 @@ class TaskEngine:
 
     def reset(self, mask: np.ndarray | None = None) -> None:
         """Starts new episodes in the worlds of the (N,) bool mask, in all by default."""
-        chosen = np.ones(self.num_worlds, bool) if mask is None else np.asarray(mask, bool).reshape(self.num_worlds)
+        chosen = np.ones(self.num_worlds, bool) if mask is None else checks.checked_mask(mask, self.num_worlds)
         self._draw(chosen)
-        self.simulator.reset(chosen, self.memory.get("offset"))
+        self.simulator.reset(chosen, self.memory["offset"] if self.task.moves_at_reset else None)
         self.actuation[chosen] = 1.0
         if self.material == "reactive":
             self.stiffness[chosen] = 1.0
         for values in (self.reward, self.score, self.returns, self.length):
             values[chosen] = 0
-        for flags in (self.terminated, self.truncated, self.unstable):
-            flags[chosen] = False
+        for name in _FLAGS:
+            getattr(self, name)[chosen] = False
         self._renew_voxels(mask)
+        self._reader.remember(self.memory, chosen)
         self._reader.read(chosen, self._block_reader())
 
     def _block_reader(self) -> BlockReader:
-        """Returns what reads a block into the present snapshot, which takes up the task's memory."""
-        self._reader.remember(self.memory)
+        """Returns what reads a block into the present snapshot."""
         sensed = Sensed(self.stiffness, self.actuation, self._template, self.voxels) if self.with_voxels else None
         return self._reader.block_reader(sensed)
 
     def _draw(self, chosen: np.ndarray) -> None:
         """Draws what the episodes of the chosen worlds hold at random, each from its world's own generator."""
-        rows = {world: self.task.draw(self._rngs[world]) for world in np.flatnonzero(chosen)}
-        for world, row in rows.items():
+        for world in np.flatnonzero(chosen):
+            row = checks.checked_draw(self.task, self.task.draw(self._rngs[world]), self.memory)
+            if not self.memory:
+                self.memory = {name: np.zeros((self.num_worlds, *v.shape), v.dtype) for name, v in row.items()}
             for name, value in row.items():
-                if name not in self.memory:
-                    self.memory[name] = np.zeros((self.num_worlds, *value.shape), value.dtype)
                 self.memory[name][world] = value
 
     def step(self, actuation: np.ndarray, stiffness: np.ndarray | None = None, mask: np.ndarray | None = None) -> None:
@@ -179,22 +187,23 @@ class TaskEngine:
         Raises:
             ValueError: For another shape, or NaN at a voxel that uses the number.
         """
-        given = self._check_action("actuation", actuation, self.actuators, ACTUATION_LOW, ACTUATION_HIGH)
+        given = checks.checked_action("actuation", actuation, self.actuators, ACTUATION_LOW, ACTUATION_HIGH)
         if (stiffness is None) == (self.material == "reactive"):
             needs = "needs stiffness in every action" if stiffness is None else "takes no stiffness in its actions"
             raise ValueError(f"stiffness: the {self.material} setting {needs}")
         factors = None
         if stiffness is not None:
-            factors = self._check_action("stiffness", stiffness, self.occupancy, STIFFNESS_LOW, STIFFNESS_HIGH)
+            factors = checks.checked_action("stiffness", stiffness, self.occupancy, STIFFNESS_LOW, STIFFNESS_HIGH)
         if mask is None:
             self.actuation = given
             self.stiffness = self.stiffness if factors is None else factors
         else:
-            mask = np.asarray(mask, bool).reshape(self.num_worlds)
+            mask = checks.checked_mask(mask, self.num_worlds)
             self.actuation[mask] = given[mask]
             if factors is not None:
                 self.stiffness[mask] = factors[mask]
         self._reader.turn()
+        self._reader.remember(self.memory, mask)
         self._renew_voxels(mask)
         unstable = self.simulator.step(self.actuation, factors, mask, self._block_reader())
         if mask is not None:
@@ -206,16 +215,6 @@ class TaskEngine:
         if self.with_voxels:
             self.voxels = np.empty_like(self._template) if mask is None else self.voxels.copy()
 
-    def _check_action(self, name: str, values: Any, used: np.ndarray, low: float, high: float) -> np.ndarray:
-        """Returns the action clipped to its range, and 1 where it is not used."""
-        values = np.asarray(values, np.float64)
-        if values.shape != used.shape:
-            raise ValueError(f"{name}: got shape {values.shape}, expected (worlds, cells) = {used.shape}")
-        values = np.where(used, values, 1.0)
-        if np.isnan(values).any():
-            raise ValueError(f"{name}: got NaN in world {int(np.isnan(values).any(1).argmax())}")
-        return np.clip(values, low, high, out=values)
-
     def _reward(self, mask: np.ndarray | None, unstable: np.ndarray) -> None:
         """Rewards and endings of the step, for the worlds of the mask."""
 
@@ -223,13 +222,14 @@ class TaskEngine:
             return new if mask is None else np.where(mask, new, old)
 
         before, now = self._reader.before, self._reader.now
-        reward = np.asarray(self.task.reward(before, now), np.float64)
-        terminated = unstable.copy()
+        reward = checks.checked_reward(self.task.reward(before, now), self.num_worlds)
+        terminated, reached = unstable.copy(), np.zeros_like(unstable)
         reward = reward + np.where(unstable, UNSTABLE_PENALTY, 0.0)
-        for condition, bonus in self.task.endings(now):
+        for condition, bonus, is_goal in checks.checked_endings(self.task, now):
             reward = reward + np.where(condition, bonus, 0.0)
-            terminated = terminated | condition
-        for name, values in self.task.remember(now).items():
+            terminated |= condition
+            reached |= condition & is_goal
+        for name, values in checks.checked_memory(self.task.remember(now), self.memory).items():
             rows = True if mask is None else mask.reshape(-1, *([1] * (values.ndim - 1)))
             self.memory[name] = np.where(rows, values, self.memory[name])
         self.length = self.length + (1 if mask is None else mask)
@@ -239,6 +239,7 @@ class TaskEngine:
         self.terminated = chosen(terminated, self.terminated)
         self.truncated = chosen(self.length >= self.task.time_limit, self.truncated)
         self.unstable = chosen(unstable, self.unstable)
+        self.reached = chosen(reached & ~unstable, self.reached)  # an unstable step goes nowhere
 
     @property
     def snapshot(self) -> Snapshot:
@@ -299,7 +300,12 @@ class TaskEngine:
         # The last observation was formed before the task's memory moved on.
         self._reader.remember(state["shown"])
 
+    def close(self) -> None:
+        """Ends the simulator's threads; a later step starts them again."""
+        self.simulator.close()
+
     def refresh(self) -> None:
-        """Reads all worlds anew, after the simulator's state was changed from outside."""
+        """Reads all worlds anew, after the simulator's state or the memory was changed from outside."""
         self._renew_voxels(None)
+        self._reader.remember(self.memory)
         self._reader.read(np.ones(self.num_worlds, bool), self._block_reader())

@@ -74,8 +74,8 @@ class GymnasiumEnv(Described, WorldReadings, gymnasium.Env[np.ndarray, np.ndarra
     It truncates nothing by itself: `gymnasium.make` puts a `TimeLimit` around it, of `max_episode_steps` or, where none
     are given, of the task's `time_limit`.
 
-    `info` holds NumPy values: `com` (2,), `unstable`, `score` (the episode's rewards but the last), `return` (all of
-    them); and `physics`, the constants that differ from the benchmark's, where some do.
+    `info` holds NumPy values: `com` (2,), `unstable`, `reached` (whether the episode ended at a goal), `score` (the
+    episode's rewards but the last), `return` (all of them); and `physics`, the constants that differ from the benchmark's, where some do.
 
     Args:
         task: A task or its id.
@@ -139,6 +139,7 @@ class GymnasiumEnv(Described, WorldReadings, gymnasium.Env[np.ndarray, np.ndarra
         info = {
             "com": engine.com[0],
             "unstable": engine.unstable[0],
+            "reached": engine.reached[0],
             "score": engine.score[0],
             "return": engine.returns[0],
         }
@@ -171,7 +172,8 @@ class GymnasiumEnv(Described, WorldReadings, gymnasium.Env[np.ndarray, np.ndarra
             self._window.show(self._renderer.frame())
 
     def close(self) -> None:
-        """Closes the window, where there is one."""
+        """Closes the window, where there is one, and ends the simulator's threads; a later step starts them again."""
+        self.engine.close()
         if self._window:
             self._window.close()
 
@@ -262,6 +264,7 @@ class GymnasiumVectorEnv(Described, PerWorld, VectorEnv[np.ndarray, np.ndarray, 
         info: dict[str, Any] = {
             "com": engine.com,
             "unstable": engine.unstable.copy(),
+            "reached": engine.reached.copy(),
             "score": engine.score.copy(),
             "return": engine.returns.copy(),
         }
@@ -311,6 +314,10 @@ class GymnasiumVectorEnv(Described, PerWorld, VectorEnv[np.ndarray, np.ndarray, 
             observation, info = self._observation(), info | self._info()
             self._ended = np.zeros(self.num_envs, bool)
         return observation, reward, terminated, truncated, info
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """Ends the simulator's threads; a later step starts them again."""
+        self.engine.close()
 
     def render(self) -> tuple[np.ndarray, ...] | None:
         """Returns a picture of each world, uint8 (height, width, 3), where a `render_mode` was given."""

@@ -218,6 +218,11 @@ class PopulationEnv(EnvBase):
     def _set_seed(self, seed: int | None) -> None:
         self.worlds._set_seed(seed)
 
+    def close(self, *, raise_if_closed: bool = True) -> None:
+        """Ends the simulator's threads; a later step starts them again."""
+        self.worlds.close(raise_if_closed=raise_if_closed)
+        super().close(raise_if_closed=raise_if_closed)
+
     def get_extra_state(self) -> dict[str, Any]:
         """Returns everything that a step can change, as tensors, for `set_extra_state`."""
         return self.worlds.get_extra_state()

@@ -61,13 +61,16 @@ class Reader:
         self.now, self.before = self._new_snapshot(most_points), self._new_snapshot(most_points)
 
     def _make_source(self, block: Block, most_points: int) -> _Source:
-        topology = block.scene.objects[0].topology
-        watched = [block.scene.object(name).points for name in self._task.watches]
-        spans = [(0, topology.n_points), *((int(points[0]), int(points[-1]) + 1) for points in watched)]
-        hulls = [self._task.reads_hull, *(False for _ in watched)]
+        topology, layout, n = block.scene.objects[0].topology, block.layout, block.scene.n_points
+        initial = np.concatenate([layout.initial, layout.static_points])
         scratch = np.zeros((2, 2 * most_points + 2), np.int64), np.zeros((N_SUMS, 1, N_LANES))
+
+        def known(name: str, with_hull: bool = False) -> tuple[Any, ...]:
+            points = block.scene.object(name).points
+            return np.where(points < n, points, MISSING), initial[points], with_hull, *scratch
+
         return _Source(
-            [(block.layout.initial, *span, hull, *scratch) for span, hull in zip(spans, hulls, strict=True)],
+            [known(block.scene.objects[0].name, self._task.reads_hull), *map(known, self._task.watches)],
             [self._make_terrain(block, window) for window, _ in self._windows],
             # Copies, since arrays that are read-only here are not so in a copied engine: that needs kernels of its own.
             (topology.cells.copy(), topology.corner_points.copy(), self._simulator.grid_shape[1]),
@@ -93,12 +96,19 @@ class Reader:
         )
 
     def turn(self) -> None:
-        """Makes the present readings those before; new ones take the place of the older."""
-        self.now, self.before = self.before, self.now
+        """Makes the present readings those before; new ones take the place of the older, beside the same memory."""
+        self.now, self.before = replace(self.before, memory=self.now.memory), self.now
 
-    def remember(self, memory: Mapping[str, np.ndarray]) -> None:
-        """Puts copies of the task's memory into the present snapshot."""
-        self.now = replace(self.now, memory={name: np.array(values) for name, values in memory.items()})
+    def remember(self, memory: Mapping[str, np.ndarray], chosen: np.ndarray | None = None) -> None:
+        """Puts copies of the task's memory into the present snapshot, for the worlds of the (N,) mask (all by default).
+
+        The others go on showing what they showed.
+        """
+        shown = {name: np.array(values) for name, values in memory.items()}
+        if chosen is not None:
+            for name, values in self.now.memory.items():
+                shown[name][~chosen] = values[~chosen]
+        self.now = replace(self.now, memory=shown)
 
     def block_reader(self, sensed: Sensed | None) -> BlockReader:
         """Returns the function that reads a block's worlds, to be run in the thread that advanced them.

@@ -16,6 +16,10 @@ if TYPE_CHECKING:  # the package registers its tasks at import, and must not loa
     from evogymcm.sim.readings import Readings
 
 
+# Which worlds end, (N,) bool; what that adds to the reward; and whether it is a goal, see `Task.endings`.
+Ending = tuple[np.ndarray, float] | tuple[np.ndarray, float, bool]
+
+
 @dataclass(frozen=True)
 class Window:
     """An elevation window: `radius` columns to each side of the COM's, over the points of some objects."""
@@ -44,9 +48,10 @@ class Snapshot:
 
     @property
     def object(self) -> "Readings":
-        """Readings of the task's one object."""
-        (readings,) = self.objects.values()
-        return readings
+        """Readings of the first object that the task watches; ValueError where it watches none."""
+        for readings in self.objects.values():
+            return readings
+        raise ValueError("object: this task watches none")
 
     @property
     def x(self) -> np.ndarray:
@@ -68,7 +73,8 @@ class Task:
         world: Its world, or the name of one of `evogymcm.sim.world.world_names()`.
         spawn: World cell of the lower-left cell of the body array.
         time_limit: Env-steps after which an episode is cut.
-        observes: Parts of the flat observation, in order, by their names in `observation_parts`.
+        observes: Parts of the flat observation, in order, by their names in `observation_parts`. Those of a watched
+            object also go by its name, as in "offset:package"; without one they are those of the first.
         floor: The window under the robot, where it is observed.
         ceiling: The window over the robot, where it is observed.
         reads_hull: Whether the reward needs the hull's area.
@@ -99,8 +105,11 @@ class Task:
         """Returns (N,) the reward of a step, without bonuses and penalties."""
         raise NotImplementedError
 
-    def endings(self, after: Snapshot) -> Iterator[tuple[np.ndarray, float]]:
-        """Yields conditions that end an episode: (N,) bool, and what each adds to the reward."""
+    def endings(self, after: Snapshot) -> Iterator[Ending]:
+        """Yields what ends an episode: a condition, (N,) bool, what it adds to the reward, and whether it is a goal.
+
+        The last may be left out: what adds more than 0 is a goal then, and all else a failure.
+        """
         return iter(())
 
     def score_ceiling(self, start: Snapshot) -> np.ndarray | None:
@@ -116,10 +125,14 @@ class Task:
             "floor": now.floor,
             "ceiling": now.ceiling,
         }
-        if now.objects:
-            parts["offset"] = now.object.com - now.robot.com
-            parts["object_velocity"] = now.object.velocity
-            parts["object_orientation"] = now.object.orientation
+        for i, (name, readings) in enumerate(now.objects.items()):
+            own = {
+                "offset": readings.com - now.robot.com,
+                "object_velocity": readings.velocity,
+                "object_orientation": readings.orientation,
+            }
+            parts |= {f"{part}:{name}": values for part, values in own.items()}
+            parts |= own if i == 0 else {}
         return parts
 
     def observation(self, now: Snapshot) -> dict[str, np.ndarray]:

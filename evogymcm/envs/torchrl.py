@@ -38,6 +38,7 @@ class SoftRobotEnv(EnvBase):
     | `"com"` | [N, 2] float64 | centre of mass, metres |
     | `"score"`, `"return"` | [N, 1] float64 | sums of the episode's rewards, without and with the last |
     | `"unstable"` | [N, 1] bool | whether the simulation broke down in this step |
+    | `"reached"` | [N, 1] bool | whether this step ended the episode at a goal |
 
     Args:
         task: A task or its id.
@@ -107,6 +108,7 @@ class SoftRobotEnv(EnvBase):
             "score": numbers(1, dtype=torch.float64),
             "return": numbers(1, dtype=torch.float64),
             "unstable": flags(1),
+            "reached": flags(1),
         }
         flat = self.engine.flat
         if flat is not None:
@@ -162,6 +164,7 @@ class SoftRobotEnv(EnvBase):
             "score": engine.score[:, None].copy(),
             "return": engine.returns[:, None].copy(),
             "unstable": engine.unstable[:, None].copy(),
+            "reached": engine.reached[:, None].copy(),
         }
         flat = engine.flat
         if flat is not None:
@@ -215,6 +218,11 @@ class SoftRobotEnv(EnvBase):
 
     def _set_seed(self, seed: int | None) -> None:
         self.engine.set_seed(seed)
+
+    def close(self, *, raise_if_closed: bool = True) -> None:
+        """Ends the simulator's threads; a later step starts them again."""
+        self.engine.close()
+        super().close(raise_if_closed=raise_if_closed)
 
     def get_extra_state(self) -> dict[str, Any]:
         """Returns everything that a step can change, as tensors, for `set_extra_state`."""

@@ -18,10 +18,12 @@ _compile: Any = partial(numba.njit, cache=True, error_model="numpy", nogil=True,
 
 
 def _digest() -> str:
-    """Returns a digest of the package's sources that hold kernels."""
+    """Returns a digest of the package's sources that hold kernels, and of whether these are to check indices."""
     package = Path(__file__).parents[1]
     files = sorted([*package.glob("sim/*.py"), *package.glob("envs/*.py")])
-    return sha256(b"".join(path.read_bytes() for path in files)).hexdigest()
+    return sha256(
+        b"".join([b"checked" * bool(numba.config.BOUNDSCHECK), *(path.read_bytes() for path in files)])
+    ).hexdigest()
 
 
 _SOURCES = _digest()

@@ -95,6 +95,9 @@ def _pointer(context: Any, builder: Any, sig: Any, args: Any) -> Any:
     """Returns the address of the eight numbers `table[row, i]`, for arguments that begin with table, row, i."""
     view = context.make_array(sig.args[0])(context, builder, args[0])
     row, i = (context.cast(builder, args[k], sig.args[k], types.intp) for k in (1, 2))
+    if config.BOUNDSCHECK:
+        for axis, place in ((0, row), (1, i)):
+            cgutils.do_boundscheck(context, builder, place, builder.extract_value(view.shape, axis))
     width = ir.Constant(row.type, _BYTES)
     if sig.args[0].layout == "A":  # of `new_table`
         start = builder.add(builder.mul(i, builder.extract_value(view.strides, 1)), builder.mul(row, width))
@@ -128,7 +131,10 @@ def new_table(rows: int, n: int) -> np.ndarray:
 
 @intrinsic
 def load(typingctx: Any, table: Any, row: Any, i: Any) -> Any:
-    """Returns `table[row, i]` as lanes, of `new_table` or C-contiguous (rows, n, 8). Indices are not checked."""
+    """Returns `table[row, i]` as lanes, of `new_table` or C-contiguous (rows, n, 8).
+
+    Indices are checked where numba checks its own: with `NUMBA_BOUNDSCHECK=1`.
+    """
     if not _is_place(table, row, i):
         return None
 
@@ -140,7 +146,7 @@ def load(typingctx: Any, table: Any, row: Any, i: Any) -> Any:
 
 @intrinsic
 def store(typingctx: Any, table: Any, row: Any, i: Any, value: Any) -> Any:
-    """Writes lanes (or one number into all eight) to `table[row, i]`. Indices are not checked."""
+    """Writes lanes (or one number into all eight) to `table[row, i]`. Indices are checked as in `load`."""
     if not (_is_place(table, row, i) and isinstance(value, LanesType | types.Number)):
         return None
 

@@ -83,39 +83,41 @@ def new_readings(n_worlds: int, n_points: int) -> Readings:
 def read_object(
     points: np.ndarray,
     worlds: np.ndarray,
+    rows: np.ndarray,
     initial: np.ndarray,
-    first: int,
-    end: int,
     with_hull: bool,
     hull: np.ndarray,
     sums: np.ndarray,
     numbers: np.ndarray,
     relative: np.ndarray,
 ) -> None:
-    """Reads the object whose points are `first` to `end`, in the lanes that have a world.
+    """Reads an object of n points, in their order, in the lanes that have a world.
 
     It takes arrays, and no tuple of them: numba spent more on taking the tuple apart than on all readings.
 
     Args:
         points: (N_POINT_ROWS, P, 8) state.
         worlds: (8,) world of each lane, MISSING for none.
-        initial: (P, 2) coordinates at reset, from which orientation counts.
-        first: First point.
-        end: End of the points.
+        rows: (n,) the object's points among the P, MISSING for those that are fixed.
+        initial: (n, 2) where they are at reset, from which orientation counts, and where the fixed ones stay.
         with_hull: Whether to read the hull's area.
         hull: (2, points + 1) int scratch.
         sums: (N_SUMS, 1, 8) scratch.
         numbers: Receives the readings, as `relative`.
         relative: See `Readings`.
     """
-    n = end - first
+    n = rows.shape[0]
     cx, cy, vx, vy = lanes.spread(0.0), lanes.spread(0.0), lanes.spread(0.0), lanes.spread(0.0)
     low_x, low_y = lanes.spread(math.inf), lanes.spread(math.inf)
     high_x, high_y = lanes.spread(-math.inf), lanes.spread(-math.inf)
-    for p in range(first, end):
-        px, py = lanes.load(points, X, p), lanes.load(points, Y, p)
+    for k in range(n):
+        p = rows[k]
+        if p == MISSING:
+            px, py = lanes.spread(initial[k, 0]), lanes.spread(initial[k, 1])
+        else:
+            px, py = lanes.load(points, X, p), lanes.load(points, Y, p)
+            vx, vy = vx + lanes.load(points, VX, p), vy + lanes.load(points, VY, p)
         cx, cy = cx + px, cy + py
-        vx, vy = vx + lanes.load(points, VX, p), vy + lanes.load(points, VY, p)
         low_x, low_y = lanes.minimum(px, low_x), lanes.minimum(py, low_y)
         high_x, high_y = lanes.maximum(px, high_x), lanes.maximum(py, high_y)
     cx, cy = cx / n, cy / n
@@ -127,41 +129,48 @@ def read_object(
     lanes.store(sums, LOW + 1, 0, low_y)
     lanes.store(sums, HIGH, 0, high_x)
     lanes.store(sums, HIGH + 1, 0, high_y)
-    lanes.store(sums, ORIENTATION, 0, _orientation(points, initial, first, end, cx, cy))
+    lanes.store(sums, ORIENTATION, 0, _orientation(points, rows, initial, cx, cy))
     for lane in range(lanes.N_LANES):
         world = worlds[lane]
         if world == MISSING:
             continue
         for k in range(N_SUMS):
             numbers[world, k] = sums[k, 0, lane]
-        for p in range(first, end):
-            relative[world, 0, p - first] = points[X, p, lane] - sums[COM, 0, lane]
-            relative[world, 1, p - first] = points[Y, p, lane] - sums[COM + 1, 0, lane]
+        for k in range(n):
+            p = rows[k]
+            x = initial[k, 0] if p == MISSING else points[X, p, lane]
+            y = initial[k, 1] if p == MISSING else points[Y, p, lane]
+            relative[world, 0, k] = x - sums[COM, 0, lane]
+            relative[world, 1, k] = y - sums[COM + 1, 0, lane]
         if with_hull:
             numbers[world, HULL_AREA] = _hull_area(relative, world, n, hull)
 
 
 @inlined
-def _orientation(points: np.ndarray, initial: np.ndarray, first: int, end: int, cx: Any, cy: Any) -> Any:
+def _orientation(points: np.ndarray, rows: np.ndarray, initial: np.ndarray, cx: Any, cy: Any) -> Any:
     """Returns the mean unsigned angle from the points at reset, weighted by distance, with the sign of their turning.
 
     Args:
         points: (N_POINT_ROWS, P, 8) state.
-        initial: (P, 2) points at reset.
-        first: First point.
-        end: End of the points.
+        rows: (n,) the object's points among the P, MISSING for those that are fixed.
+        initial: (n, 2) the object's points at reset.
         cx: COM, lanes.
         cy: COM, lanes.
     """
     ax, ay = 0.0, 0.0
-    for p in range(first, end):
-        ax += initial[p, 0]
-        ay += initial[p, 1]
-    ax, ay = ax / (end - first), ay / (end - first)
+    n = rows.shape[0]
+    for k in range(n):
+        ax += initial[k, 0]
+        ay += initial[k, 1]
+    ax, ay = ax / n, ay / n
     total, turning, weights = lanes.spread(0.0), lanes.spread(0.0), 0.0
-    for p in range(first, end):
-        ox, oy = initial[p, 0] - ax, initial[p, 1] - ay
-        nx, ny = lanes.load(points, X, p) - cx, lanes.load(points, Y, p) - cy
+    for k in range(n):
+        p = rows[k]
+        ox, oy = initial[k, 0] - ax, initial[k, 1] - ay
+        if p == MISSING:
+            nx, ny = initial[k, 0] - cx, initial[k, 1] - cy
+        else:
+            nx, ny = lanes.load(points, X, p) - cx, lanes.load(points, Y, p) - cy
         was, now = math.sqrt(ox * ox + oy * oy), lanes.sqrt(nx * nx + ny * ny)
         if was == 0.0:
             continue  # no direction, and no weight

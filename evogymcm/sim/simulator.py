@@ -84,6 +84,7 @@ class Simulator:
         self.num_threads = min(num_threads or available, len(self.blocks))
         announce_compilation(advance)
         self._pool: ThreadPoolExecutor | None = None
+        self._pool_process = 0  # the process that has the pool's threads
 
     @property
     def n_cells(self) -> int:
@@ -110,7 +111,12 @@ class Simulator:
         Args:
             mask: (N,) bool, the worlds to reset; all by default.
             offsets: (N, 2) voxels, whole numbers, by which the objects named in `placed` are moved from their places.
+
+        Raises:
+            ValueError: For another shape.
         """
+        if offsets is not None:
+            offsets = self._rows("offsets", offsets, 2)
         for block, worlds in self._chosen(mask):
             chosen = worlds != MISSING
             reset_lanes(block.layout, block.state, chosen)
@@ -130,7 +136,11 @@ class Simulator:
         Args:
             stiffness: (N, V) factors, float64; cells without a voxel have no effect.
             mask: (N,) bool, the worlds to set; all by default.
+
+        Raises:
+            ValueError: For another shape.
         """
+        stiffness = self._rows("stiffness", stiffness, self.n_cells)
         for block, worlds in self._chosen(mask):
             set_constants(block.layout, block.state.springs, worlds, stiffness)
 
@@ -152,9 +162,13 @@ class Simulator:
 
         Returns:
             (N,) bool, the worlds that became unstable: these are in the state from before the step.
+
+        Raises:
+            ValueError: For another shape.
         """
         unstable = np.zeros(self.n_worlds, bool)
-        factors = np.empty((0, actuation.shape[1])) if stiffness is None else stiffness
+        actuation = self._rows("actuation", actuation, self.n_cells)
+        factors = np.empty((0, self.n_cells)) if stiffness is None else self._rows("stiffness", stiffness, self.n_cells)
 
         def run(job: tuple[Block, np.ndarray]) -> None:
             block, worlds = job
@@ -209,10 +223,19 @@ class Simulator:
             points[:] = saved[: points.size].reshape(points.shape)
             block.state.springs[:] = saved[points.size :].reshape(block.state.springs.shape)
 
+    def _rows(self, name: str, values: np.ndarray, n_columns: int) -> np.ndarray:
+        """Returns (N, n_columns) float64 as kernels take it: they check neither shape nor indices."""
+        values = np.ascontiguousarray(values, np.float64)
+        if values.shape != (self.n_worlds, n_columns):
+            raise ValueError(f"{name}: got shape {values.shape}, expected {(self.n_worlds, n_columns)}")
+        return values
+
     def _chosen(self, mask: np.ndarray | None) -> list[tuple[Block, np.ndarray]]:
         """Returns the blocks with a chosen world, each with its (8,) worlds, MISSING for the others."""
         if mask is None:
             return [(block, block.worlds) for block in self.blocks]
+        if mask.shape != (self.n_worlds,) or mask.dtype != bool:
+            raise ValueError(f"mask: got {mask.dtype} of shape {mask.shape}, expected bool of shape ({self.n_worlds},)")
         jobs = [
             (block, np.where(mask[block.worlds] & (block.worlds != MISSING), block.worlds, MISSING))
             for block in self.blocks
@@ -225,8 +248,9 @@ class Simulator:
             for job in jobs:
                 run(job)
             return
-        if self._pool is None:
+        if self._pool is None or self._pool_process != os.getpid():  # a forked process has none of the threads
             self._pool = ThreadPoolExecutor(self.num_threads - 1, thread_name_prefix="evogymcm")
+            self._pool_process = os.getpid()
         next_job = count()
 
         def work() -> None:
@@ -237,6 +261,12 @@ class Simulator:
         work()
         for other in others:
             other.result()
+
+    def close(self) -> None:
+        """Ends the threads. A later step starts them again, so that nothing is lost by closing too early."""
+        if self._pool is not None and self._pool_process == os.getpid():
+            self._pool.shutdown()
+        self._pool = None
 
     def __getstate__(self) -> dict[str, Any]:
         return self.__dict__ | {"_pool": None}

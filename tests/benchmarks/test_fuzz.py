@@ -1,6 +1,8 @@
 """Random bodies, materials and hard actions: nothing breaks unseen."""
 
 import importlib.util
+import os
+import subprocess
 import sys
 from pathlib import Path
 
@@ -29,3 +31,12 @@ def test_many_steps(fuzz):
     summary = fuzz.fuzz(200_000, seed=2)
     assert summary.env_steps >= 200_000
     assert summary.unstable > 0  # otherwise the throw was not hard enough
+
+
+@pytest.mark.slow
+def test_no_index_is_out_of_range_in_any_world(tmp_path):
+    # A short form of scripts/bounds.sh, in a process of its own: its kernels check every index.
+    variables = os.environ | {"NUMBA_BOUNDSCHECK": "1", "NUMBA_CACHE_DIR": str(tmp_path)}
+    command = [sys.executable, SCRIPT, "--worlds", "3"]
+    variables["PYTHONPATH"] = str(SCRIPT.parents[1])
+    subprocess.run(command, env=variables, check=True, capture_output=True, timeout=900)

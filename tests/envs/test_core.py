@@ -398,3 +398,30 @@ def test_moved_robot_is_read_after_refresh():
     before = engine.com
     move(engine, 0.3, 0.2, world=1)
     np.testing.assert_allclose(engine.com - before, [[0, 0], [0.3, 0.2], [0, 0]], rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("mask", [[0, 1], [True], np.ones((2, 2), bool), np.ones(2)])
+def test_masks_are_flags_of_all_worlds(mask):
+    engine = make_engine("Walker-v0", SMALL, 2)
+    before = outputs(engine)
+    with pytest.raises(ValueError, match=r"mask: got .*expected bool of shape \(2,\)"):
+        engine.reset(mask)
+    with pytest.raises(ValueError, match=r"mask: got .*expected bool of shape \(2,\)"):
+        engine.step(np.ones((2, 6)), mask=mask)
+    assert_same(outputs(engine), before)
+
+
+def test_simulator_takes_one_row_a_world():
+    simulator = make_engine("Catcher-v0", SMALL, 2).simulator
+    start = simulator.positions()
+    for values in (np.ones((2, 5)), np.ones((1, 6)), np.ones(6)):
+        for call in (simulator.step, simulator.set_stiffness, lambda v: simulator.step(np.ones((2, 6)), v)):
+            with pytest.raises(ValueError, match=r"(actuation|stiffness): got shape .*expected \(2, 6\)"):
+                call(values)
+    with pytest.raises(ValueError, match=r"offsets: got shape \(2, 3\), expected \(2, 2\)"):
+        simulator.reset(offsets=np.zeros((2, 3)))
+    for call in (simulator.reset, lambda mask: simulator.step(np.ones((2, 6)), mask=mask)):
+        with pytest.raises(ValueError, match=r"mask: got bool of shape \(3,\), expected bool of shape \(2,\)"):
+            call(np.ones(3, bool))
+    np.testing.assert_array_equal(simulator.positions(), start)
+    simulator.step(np.ones((6, 2), np.float32).T)  # of another kind and order, but of the right shape

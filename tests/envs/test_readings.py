@@ -34,7 +34,15 @@ def read(was, now, velocity=None):
     n = was.shape[1]
     readings, hull, sums = new_readings(1, n), np.zeros((2, 2 * n + 2), np.int64), np.zeros((N_SUMS, 1, N_LANES))
     read_object(
-        as_state(now, velocity), LANE_3, was.T.copy(), 0, n, True, hull, sums, readings.numbers, readings.relative
+        as_state(now, velocity),
+        LANE_3,
+        np.arange(n),
+        was.T.copy(),
+        True,
+        hull,
+        sums,
+        readings.numbers,
+        readings.relative,
     )
     return readings
 

@@ -1,6 +1,10 @@
 """Operations on eight lanes against numpy."""
 
 import operator
+import os
+import subprocess
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -154,3 +158,32 @@ def test_load_takes_tables_of_lanes_only():
     if hasattr(_shift, "py_func"):
         with pytest.raises(Exception, match="load"):
             _shift(np.zeros((3, 5)), np.zeros((3, 5, 8)))
+
+
+CHECKED = """
+import numpy as np
+from evogymcm.sim import lanes
+from evogymcm.sim._jit import kernel
+
+@kernel
+def copy(table, row, i):
+    lanes.store(table, row, i, lanes.load(table, row, i))
+
+table = lanes.new_table(3, 4)[:2, :3]  # what lies just beyond is ours, too
+copy(table, 1, 2)
+for place in ((2, 0), (0, 3), (-1, 0), (0, -1)):
+    try:
+        copy(table, *place)
+    except IndexError:
+        continue
+    raise SystemExit(f"{place} was not found")
+"""
+
+
+@pytest.mark.slow
+def test_indices_are_checked_where_numba_checks_its_own(tmp_path):
+    variables = os.environ | {"NUMBA_BOUNDSCHECK": "1", "NUMBA_CACHE_DIR": str(tmp_path), "NUMBA_DISABLE_JIT": "0"}
+    script = tmp_path / "checked.py"  # a kernel needs a file
+    script.write_text(CHECKED)
+    variables["PYTHONPATH"] = str(Path(__file__).parents[2])
+    subprocess.run([sys.executable, script], env=variables, check=True, timeout=300)

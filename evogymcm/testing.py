@@ -1,0 +1,100 @@
+"""A check of tasks, for their authors' tests."""
+
+import pickle
+import random
+from typing import Any
+
+import numpy as np
+
+from evogymcm.envs.core import TaskEngine
+from evogymcm.envs.designs import BodySpec
+from evogymcm.envs.task import Task
+from evogymcm.envs.tasks import as_task
+
+_N_WORLDS, _ALL = 3, slice(None)
+_SHOWN = ("flat", "features", "reward", "score", "returns", "length", "terminated", "truncated", "unstable", "reached")
+
+
+def check_task(task: str | Task, body: BodySpec = "HVH/S.R", *, steps: int = 8, seed: int = 0) -> None:
+    """Raises where a task has one of the mistakes that show late otherwise, or as wrong numbers.
+
+    Checked are its fields (time limit, spawn place, names of objects, windows and observations); that what its methods
+    return has one row a world, in numbers that are finite; that episodes draw from the given generator only, and the
+    same again from the same seed; that a world does the same alone as beside others, some of which start anew while it
+    goes on; and that a saved state goes on as the original. The first two are checked in part whenever an environment
+    is made.
+
+    Args:
+        task: A task or its id.
+        body: A body that fits in; the more of the task it meets in a few env-steps, the better.
+        steps: Env-steps, with random actions.
+        seed: Of the actions, and of what the task draws.
+
+    Raises:
+        ValueError: With what is wrong.
+    """
+    task = as_task(task)
+    batch = TaskEngine(task, body, _N_WORLDS, material="reactive", num_threads=1, seed=seed)
+    _check_draws(task, seed)
+    singles = [
+        TaskEngine(task, body, 1, material="reactive", num_threads=1, seed=seed + world) for world in range(_N_WORLDS)
+    ]
+    resumed, halfway = TaskEngine(task, body, _N_WORLDS, material="reactive", num_threads=1, seed=seed + 99), steps // 2
+    others: dict[str, tuple[TaskEngine, Any]] = {f"world {i} alone": (one, [i]) for i, one in enumerate(singles)}
+    rng = np.random.default_rng(seed)
+    for step in range(steps):
+        if step == halfway:
+            resumed.set_state(pickle.loads(pickle.dumps(batch.state())))
+            _compare(task, "a saved state", resumed, batch, _ALL, step)
+            others["a world that goes on from a saved state"] = resumed, _ALL
+        shape = batch.occupancy.shape
+        actions = rng.uniform(0.6, 1.6, shape), rng.uniform(0.5, 2.0, shape)
+        batch.step(*actions)
+        for what, (engine, rows) in others.items():
+            engine.step(*(values[rows] for values in actions))
+            _compare(task, what, engine, batch, rows, step)
+        _check_finite(task, batch, step)
+        again = batch.terminated | batch.truncated | (np.arange(_N_WORLDS) == step % (_N_WORLDS + 1))
+        batch.reset(again)
+        for what, (engine, rows) in others.items():
+            engine.reset(again[rows])
+            _compare(task, what, engine, batch, rows, step)
+
+
+def _check_draws(task: Task, seed: int) -> None:
+    """Checks that draws depend on their generator alone."""
+    before = _global_generators()
+    first, again = (task.draw(np.random.default_rng(seed)) for _ in range(2))
+    if before != _global_generators():
+        raise ValueError(f"task {task.id!r}: draw: it uses a global generator; draw from `rng` only")
+    for name, value in first.items():
+        if not np.array_equal(value, again[name]):
+            raise ValueError(
+                f"task {task.id!r}: draw: {name!r} is {value!r}, then {again[name]!r} from the same seed; "
+                "draw from `rng` only"
+            )
+
+
+def _global_generators() -> bytes:
+    return pickle.dumps((np.random.get_state(), random.getstate()))  # noqa: NPY002, this is what nobody may use
+
+
+def _compare(task: Task, what: str, got: TaskEngine, batch: TaskEngine, rows: Any, step: int) -> None:
+    for name in _SHOWN:
+        one, other = np.asarray(getattr(got, name)), np.asarray(getattr(batch, name))[rows]
+        if not np.array_equal(one, other, equal_nan=True):
+            got_and_expected = f"{one.tolist()}, the batch of {_N_WORLDS} {other.tolist()}"
+            raise ValueError(
+                f"task {task.id!r}: {name!r} differs in env-step {step + 1}: {what} shows {got_and_expected}. "
+                "What a method returns must depend on its arguments alone, and each row on the world's own"
+            )
+
+
+def _check_finite(task: Task, engine: TaskEngine, step: int) -> None:
+    values = {"reward": engine.reward} | task.observation(engine.snapshot)
+    for name, value in values.items():
+        if not np.isfinite(value).all():
+            raise ValueError(f"task {task.id!r}: {name!r} is {value.tolist()} in env-step {step + 1}, not finite")
+
+
+__all__ = ["check_task"]
