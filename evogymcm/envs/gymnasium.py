@@ -75,7 +75,8 @@ class GymnasiumEnv(Described, WorldReadings, gymnasium.Env[np.ndarray, np.ndarra
     are given, of the task's `time_limit`.
 
     `info` holds NumPy values: `com` (2,), `unstable`, `reached` (whether the episode ended at a goal), `score` (the
-    episode's rewards but the last), `return` (all of them); and `physics`, the constants that differ from the benchmark's, where some do.
+    episode's rewards but the last), `return` (all of them); and `physics`, the constants that differ from the
+    benchmark's, where some do.
 
     Args:
         task: A task or its id.
