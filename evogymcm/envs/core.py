@@ -29,7 +29,8 @@ from evogymcm.sim.world import ROBOT, World, WorldObject
 
 UNSTABLE_PENALTY = -3.0
 # Arrays that a step can change, besides the simulator and the task's memory.
-_STATE = ("actuation", "stiffness", "reward", "score", "returns", "length", "terminated", "truncated", "unstable")
+_FLAGS = ("terminated", "truncated", "unstable", "reached")
+_STATE = ("actuation", "stiffness", "reward", "score", "returns", "length", *_FLAGS)
 
 
 class TaskEngine:
@@ -54,6 +55,7 @@ class TaskEngine:
         flat: (N, D) the task's own observation, None where bodies differ.
         features: (N, G) COM velocity, sine and cosine of the orientation, and the task's own global parts.
         reward, terminated, truncated, unstable: (N,) of the last step.
+        reached: (N,) bool, whether the last step ended the episode at a goal, see `Task.endings`.
         score: (N,) the sum of the episode's rewards but the last (the paper's score, once the episode has ended).
         returns: (N,) the sum of all of them.
         length: (N,) env-steps of the episode.
@@ -114,7 +116,7 @@ class TaskEngine:
             self.simulator.set_stiffness(self.stiffness)
         self.reward, self.score, self.returns = np.zeros(n), np.zeros(n), np.zeros(n)
         self.length = np.zeros(n, np.int64)
-        self.terminated, self.truncated, self.unstable = (np.zeros(n, bool) for _ in range(3))
+        self.terminated, self.truncated, self.unstable, self.reached = (np.zeros(n, bool) for _ in _FLAGS)
         self.set_seed(seed)
         self.memory: dict[str, np.ndarray] = {}
         self.reset()
@@ -147,8 +149,8 @@ class TaskEngine:
             self.stiffness[chosen] = 1.0
         for values in (self.reward, self.score, self.returns, self.length):
             values[chosen] = 0
-        for flags in (self.terminated, self.truncated, self.unstable):
-            flags[chosen] = False
+        for name in _FLAGS:
+            getattr(self, name)[chosen] = False
         self._renew_voxels(mask)
         self._reader.read(chosen, self._block_reader())
 
@@ -223,11 +225,12 @@ class TaskEngine:
 
         before, now = self._reader.before, self._reader.now
         reward = np.asarray(self.task.reward(before, now), np.float64)
-        terminated = unstable.copy()
+        terminated, reached = unstable.copy(), np.zeros_like(unstable)
         reward = reward + np.where(unstable, UNSTABLE_PENALTY, 0.0)
-        for condition, bonus in self.task.endings(now):
+        for condition, bonus, *is_goal in self.task.endings(now):
             reward = reward + np.where(condition, bonus, 0.0)
             terminated = terminated | condition
+            reached = reached | condition & (is_goal[0] if is_goal else bonus > 0)
         for name, values in self.task.remember(now).items():
             rows = True if mask is None else mask.reshape(-1, *([1] * (values.ndim - 1)))
             self.memory[name] = np.where(rows, values, self.memory[name])
@@ -238,6 +241,7 @@ class TaskEngine:
         self.terminated = chosen(terminated, self.terminated)
         self.truncated = chosen(self.length >= self.task.time_limit, self.truncated)
         self.unstable = chosen(unstable, self.unstable)
+        self.reached = chosen(reached & ~unstable, self.reached)  # an unstable step goes nowhere
 
     @property
     def snapshot(self) -> Snapshot:

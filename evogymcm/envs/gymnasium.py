@@ -65,8 +65,8 @@ class _ActionGrid:
 class GymnasiumEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     """One world of one task.
 
-    `info` holds `com` (2,), `unstable`, `score` (the episode's rewards but the last), `return` (all of them), and
-    `physics`, the constants that differ from the benchmark's, where some do.
+    `info` holds `com` (2,), `unstable`, `reached` (whether the episode ended at a goal), `score` (the episode's rewards
+    but the last), `return` (all of them), and `physics`, the constants that differ from the benchmark's, where some do.
 
     Args:
         task: A task or its id.
@@ -127,6 +127,7 @@ class GymnasiumEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         info = {
             "com": engine.com[0],
             "unstable": bool(engine.unstable[0]),
+            "reached": bool(engine.reached[0]),
             "score": float(engine.score[0]),
             "return": float(engine.returns[0]),
         }
@@ -256,6 +257,7 @@ class GymnasiumVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         info: dict[str, Any] = {
             "com": engine.com,
             "unstable": engine.unstable.copy(),
+            "reached": engine.reached.copy(),
             "score": engine.score.copy(),
             "return": engine.returns.copy(),
         }

@@ -32,7 +32,7 @@ class BodiesParallelEnv(ParallelEnv[str, Observation, Action]):
     `occupancy` and `actuators` (V,) int8, and `task` (G,) float32: COM velocity, sine and cosine of the orientation,
     the task's own global observations. It acts with a dict of `actuation` (V,) in [0.6, 1.6] and, in the reactive
     setting, `stiffness` (V,) in [0.5, 2]. Its `info` holds the numbers `score` (the episode's rewards but the last),
-    `return` (all of them), `unstable`, and `com_x` and `com_y` in metres.
+    `return` (all of them), `unstable`, `reached` (a goal), and `com_x` and `com_y` in metres.
 
     `reset(options={"bodies": [...], "stiffness": [...]})` takes new designs, from then on: as many as before, within
     the padded grid. Other options are ignored.
@@ -185,11 +185,15 @@ class BodiesParallelEnv(ParallelEnv[str, Observation, Action]):
     def _infos(self, agents: Sequence[str]) -> dict[str, dict[str, Any]]:
         engine = self.engine
         x, y = engine.com.T.tolist()
-        score, total, unstable = engine.score.tolist(), engine.returns.tolist(), engine.unstable.tolist()
-        return {
-            agent: {"score": score[i], "return": total[i], "unstable": unstable[i], "com_x": x[i], "com_y": y[i]}
-            for agent, i in ((agent, self._index[agent]) for agent in agents)
+        columns = {
+            "score": engine.score.tolist(),
+            "return": engine.returns.tolist(),
+            "unstable": engine.unstable.tolist(),
+            "reached": engine.reached.tolist(),
+            "com_x": x,
+            "com_y": y,
         }
+        return {agent: {name: values[self._index[agent]] for name, values in columns.items()} for agent in agents}
 
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None

@@ -16,6 +16,10 @@ if TYPE_CHECKING:  # the package registers its tasks at import, and must not loa
     from evogymcm.sim.readings import Readings
 
 
+# Which worlds end, (N,) bool; what that adds to the reward; and whether it is a goal, see `Task.endings`.
+Ending = tuple[np.ndarray, float] | tuple[np.ndarray, float, bool]
+
+
 @dataclass(frozen=True)
 class Window:
     """An elevation window: `radius` columns to each side of the COM's, over the points of some objects."""
@@ -99,8 +103,11 @@ class Task:
         """Returns (N,) the reward of a step, without bonuses and penalties."""
         raise NotImplementedError
 
-    def endings(self, after: Snapshot) -> Iterator[tuple[np.ndarray, float]]:
-        """Yields conditions that end an episode: (N,) bool, and what each adds to the reward."""
+    def endings(self, after: Snapshot) -> Iterator[Ending]:
+        """Yields what ends an episode: a condition, (N,) bool, what it adds to the reward, and whether it is a goal.
+
+        The last may be left out: what adds more than 0 is a goal then, and all else a failure.
+        """
         return iter(())
 
     def score_ceiling(self, start: Snapshot) -> np.ndarray | None:

@@ -35,6 +35,7 @@ class SoftRobotEnv(EnvBase):
     | `"com"` | [N, 2] float64 | centre of mass, metres |
     | `"score"`, `"return"` | [N, 1] float64 | sums of the episode's rewards, without and with the last |
     | `"unstable"` | [N, 1] bool | whether the simulation broke down in this step |
+    | `"reached"` | [N, 1] bool | whether this step ended the episode at a goal |
 
     Args:
         task: A task or its id.
@@ -103,6 +104,7 @@ class SoftRobotEnv(EnvBase):
             "score": numbers(1, dtype=torch.float64),
             "return": numbers(1, dtype=torch.float64),
             "unstable": flags(1),
+            "reached": flags(1),
         }
         flat = self.engine.flat
         if flat is not None:
@@ -158,6 +160,7 @@ class SoftRobotEnv(EnvBase):
             "score": engine.score[:, None].copy(),
             "return": engine.returns[:, None].copy(),
             "unstable": engine.unstable[:, None].copy(),
+            "reached": engine.reached[:, None].copy(),
         }
         flat = engine.flat
         if flat is not None:

@@ -42,7 +42,7 @@ def test_every_task_can_be_made(task, material):
     env = make(task, body, material=material)
     observation, info = env.reset(seed=0)
     assert observation in env.observation_space
-    assert set(info) == {"com", "unstable", "score", "return"}
+    assert set(info) == {"com", "unstable", "reached", "score", "return"}
     n = cm.as_body(body).n_actuators
     n_voxels = cm.as_body(body).n_voxels
     assert env.action_space.shape == (n + n_voxels if material == "reactive" else n,)
@@ -53,7 +53,7 @@ def test_every_task_can_be_made(task, material):
     assert isinstance(reward, float)
     assert isinstance(terminated, bool)
     assert isinstance(truncated, bool)
-    assert set(info) == {"com", "unstable", "score", "return"}
+    assert set(info) == {"com", "unstable", "reached", "score", "return"}
 
 
 @pytest.mark.parametrize("task", sorted(cm.tasks))
@@ -185,7 +185,7 @@ def test_vector_equals_singles(material):
             observation, reward, ended, cut, info = env.step(actions[i])
             np.testing.assert_array_equal(observations[i], observation)
             assert (rewards[i], terminated[i], truncated[i]) == (reward, ended, cut)
-            for key in ("com", "score", "return", "unstable"):
+            for key in ("com", "score", "return", "unstable", "reached"):
                 np.testing.assert_array_equal(infos[key][i], info[key])
 
 

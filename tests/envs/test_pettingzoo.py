@@ -18,7 +18,7 @@ from tests.envs.tools import SMALL, TALL, WIDE, make_engine
 
 MIXED = (SMALL, WIDE, TALL)  # padded to 3x4
 MATERIALS = ("invariant", "reactive")
-INFO = {"score", "return", "unstable", "com_x", "com_y"}
+INFO = {"score", "return", "unstable", "reached", "com_x", "com_y"}
 
 
 def make_env(task="Walker-v0", bodies=MIXED, **options):

@@ -114,7 +114,7 @@ def test_a_mixed_population_equals_single_worlds():
                 padded = expected[key].reshape(rows * columns, -1)
                 assert torch.equal(step[key][0].reshape(len(cells), -1), padded[cells])
                 assert not padded[np.setdiff1d(np.arange(rows * columns), cells)].any()
-            for key in ("task", "com", "score", "return", "reward", "unstable", "done"):
+            for key in ("task", "com", "score", "return", "reward", "unstable", "reached", "done"):
                 assert torch.equal(step[key][0], expected[key]), key
 
 

@@ -1,13 +1,15 @@
 """The six tasks of the EvoGymCM paper: their numbers, rewards and endings."""
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
 
 import evogymcm as cm
-from tests.envs.tools import PAPER_ROBOTS, PAPER_TASKS, make_engine, move, step_randomly, turn
+from evogymcm.envs.tasks.walking import Walking
+from evogymcm.sim.constants import Physics
+from tests.envs.tools import PAPER_ROBOTS, PAPER_TASKS, SMALL, make_engine, move, step_randomly, turn
 
 # EvoGym 2.0.0 with the paper's robots and the constant action 1.0 for a whole episode.
 # Points, actuators, size of the observation, COM and hull area at reset, return, final COM.
@@ -111,6 +113,7 @@ def test_goal_ends_the_episode_with_its_bonus(task, goal, bonus, y):
     assert engine.terminated.tolist() == [False, True]
     assert not engine.truncated.any()
     np.testing.assert_allclose(engine.reward, engine.com[:, 0] - before + [0.0, bonus], rtol=0, atol=1e-12)
+    assert engine.reached.tolist() == [False, True]
     np.testing.assert_array_equal(engine.score, 0.0)  # the first step is the last
     np.testing.assert_array_equal(engine.returns, engine.reward)
 
@@ -125,6 +128,7 @@ def test_only_the_stairs_punish_falling_over(task, angle):
     engine.step(idle(engine))
     is_fallen = task == "DownStepper-v0" and math.pi / 2 < angle < 3 * math.pi / 2
     assert engine.terminated[0] == is_fallen
+    assert not engine.reached[0]
     np.testing.assert_allclose(engine.reward[0], engine.com[0, 0] - before - 3.0 * is_fallen, rtol=0, atol=1e-12)
 
 
@@ -135,7 +139,59 @@ def test_goal_and_fall_in_one_step_both_count():
     before = engine.com[0, 0]
     engine.step(idle(engine))
     assert engine.terminated[0]
+    assert engine.reached[0]
     np.testing.assert_allclose(engine.reward[0], engine.com[0, 0] - before + 2.0 - 3.0, rtol=0, atol=1e-12)
+
+
+def test_falling_off_the_left_end_is_no_goal_whatever_the_last_reward():
+    engine = make_engine("Flipper-v0", "Walk_Bot", 2)
+    move(engine, 0.09 - engine.com[0, 0], 1.0)
+    move(engine, y=1.0, world=1)
+    for world in range(2):
+        turn(engine, 1.0, world)  # moved outside a step, so the next pays for nothing ...
+    engine._reader.now.robot.orientation[:] = 0.5  # ... but from here on for the turn
+    engine.step(idle(engine))
+    assert (engine.reward > 0.0).all()
+    assert engine.terminated.tolist() == [True, False]
+    assert not engine.reached.any()
+
+
+@dataclass(frozen=True)
+class Ending(Walking):
+    """Walking that ends at once, as `ending` says."""
+
+    ending: tuple = ()
+
+    def endings(self, after):
+        yield (after.x > 0.0, *self.ending)
+
+
+@pytest.mark.parametrize(
+    ("ending", "is_goal"),
+    [((0.5,), True), ((0.0,), False), ((-1.0,), False), ((0.0, True), True), ((1.0, False), False)],
+)
+def test_ending_is_a_goal_where_it_says_so_or_pays(ending, is_goal):
+    task = Ending("Ending", "Walker-v0", (1, 1), 9, ("velocity",), ending=ending)
+    engine = make_engine(task, SMALL, 2)
+    engine.step(idle(engine), mask=np.array([True, False]))
+    assert engine.terminated.tolist() == [True, False]
+    assert engine.reached.tolist() == [is_goal, False]
+    state = engine.state()
+    engine.reset()
+    assert not engine.reached.any()
+    engine.set_state(state)
+    assert engine.reached.tolist() == [is_goal, False]
+
+
+def test_unstable_step_reaches_no_goal():
+    task = Ending("Ending", "Walker-v0", (1, 1), 99, ("velocity",), ending=(1.0, True))
+    engine = make_engine(task, "Walk_Bot", physics=Physics(substep=2e-3))
+    for _ in range(60):
+        step_randomly(engine, 1)
+        assert engine.reached[0] != engine.unstable[0]
+        if engine.unstable[0]:
+            return
+    raise AssertionError("the far too long substep should have blown the robot up")
 
 
 @pytest.mark.parametrize(("task", "gain"), [("AreaMaximizer-v0", 10.0), ("AreaMinimizer-v0", -10.0)])

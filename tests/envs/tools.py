@@ -38,7 +38,7 @@ def step_randomly(engine, steps, seed=0):
 def outputs(engine):
     """Copies of everything that an engine shows after a step, by name."""
     names = ("voxels", "types", "features", "com", "reward", "score", "returns", "length")
-    flags = ("terminated", "truncated", "unstable", "stiffness", "actuation")
+    flags = ("terminated", "truncated", "unstable", "reached", "stiffness", "actuation")
     shown = {name: np.array(getattr(engine, name)) for name in names + flags}
     return shown if engine.flat is None else shown | {"flat": engine.flat}
 

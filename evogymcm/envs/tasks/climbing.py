@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from evogymcm.envs.task import Snapshot, Task, Window
+from evogymcm.envs.task import Ending, Snapshot, Task, Window
 
 
 @dataclass(frozen=True)
@@ -25,9 +25,9 @@ class Climbing(Task):
     def reward(self, before: Snapshot, after: Snapshot) -> np.ndarray:
         return after.y - before.y + self.gain_x * (after.x - before.x)
 
-    def endings(self, after: Snapshot) -> Iterator[tuple[np.ndarray, float]]:
+    def endings(self, after: Snapshot) -> Iterator[Ending]:
         if self.goal_y is not None:
-            yield after.y > self.goal_y, self.goal_bonus
+            yield after.y > self.goal_y, self.goal_bonus, True
 
     def score_ceiling(self, start: Snapshot) -> np.ndarray | None:
         return None if self.goal_y is None else self.goal_y - start.y

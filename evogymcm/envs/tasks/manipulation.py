@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from evogymcm.envs.task import Snapshot, Task
+from evogymcm.envs.task import Ending, Snapshot, Task
 
 _PACKAGE = ("velocity", "offset", "object_velocity", "relative")
 _TURNING_PACKAGE = ("velocity", "offset", "object_velocity", "object_orientation", "relative")
@@ -38,9 +38,9 @@ class Manipulation(Task):
     goal_x: float | None = None
     goal_bonus: float = 1.0
 
-    def endings(self, after: Snapshot) -> Iterator[tuple[np.ndarray, float]]:
+    def endings(self, after: Snapshot) -> Iterator[Ending]:
         if self.goal_x is not None:
-            yield after.x > self.goal_x, self.goal_bonus
+            yield after.x > self.goal_x, self.goal_bonus, True
 
 
 @dataclass(frozen=True)
@@ -125,8 +125,8 @@ class BeamMoving(Manipulation):
     watches: tuple[str, ...] = ("beam",)
     beam_goal_x: float = 0.2
 
-    def endings(self, after: Snapshot) -> Iterator[tuple[np.ndarray, float]]:
-        yield after.object.com[:, 0] < self.beam_goal_x, self.goal_bonus
+    def endings(self, after: Snapshot) -> Iterator[Ending]:
+        yield after.object.com[:, 0] < self.beam_goal_x, self.goal_bonus, True
 
 
 @dataclass(frozen=True)

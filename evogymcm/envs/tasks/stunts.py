@@ -6,7 +6,7 @@ from math import pi
 
 import numpy as np
 
-from evogymcm.envs.task import Snapshot, Task, Window
+from evogymcm.envs.task import Ending, Snapshot, Task, Window
 
 
 @dataclass(frozen=True)
@@ -21,8 +21,8 @@ class Flipping(Task):
         over = (was > 5 * pi / 3) & (now < pi / 3)
         return now - was + 2 * pi * (over.astype(float) - back)
 
-    def endings(self, after: Snapshot) -> Iterator[tuple[np.ndarray, float]]:
-        yield after.x < self.end_x, 0.0
+    def endings(self, after: Snapshot) -> Iterator[Ending]:
+        yield after.x < self.end_x, 0.0, False
 
 
 @dataclass(frozen=True)
@@ -92,8 +92,8 @@ class Patrolling(Task):
         x = after.memory["goals"][np.arange(len(goal)), goal]
         return np.abs(x - before.x) - np.abs(x - after.x)
 
-    def endings(self, after: Snapshot) -> Iterator[tuple[np.ndarray, float]]:
-        yield self._advance(after)[1], self.bonus
+    def endings(self, after: Snapshot) -> Iterator[Ending]:
+        yield self._advance(after)[1], self.bonus, True
 
     def remember(self, after: Snapshot) -> dict[str, np.ndarray]:
         return dict(after.memory) | {"goal": self._advance(after)[0]}

@@ -6,7 +6,7 @@ from math import pi
 
 import numpy as np
 
-from evogymcm.envs.task import Snapshot, Task, Window
+from evogymcm.envs.task import Ending, Snapshot, Task, Window
 
 
 @dataclass(frozen=True)
@@ -32,14 +32,14 @@ class Walking(Task):
     def reward(self, before: Snapshot, after: Snapshot) -> np.ndarray:
         return self.gain * (after.x - before.x)
 
-    def endings(self, after: Snapshot) -> Iterator[tuple[np.ndarray, float]]:
+    def endings(self, after: Snapshot) -> Iterator[Ending]:
         if self.goal_x is not None:
-            yield after.x > self.goal_x, self.goal_bonus
+            yield after.x > self.goal_x, self.goal_bonus, True
         if self.lowest_y is not None:
-            yield after.y < self.lowest_y, self.fall_penalty
+            yield after.y < self.lowest_y, self.fall_penalty, False
         if self.fallen is not None:
             low, high = self.fallen
-            yield (low < after.robot.orientation) & (after.robot.orientation < high), self.fall_penalty
+            yield (low < after.robot.orientation) & (after.robot.orientation < high), self.fall_penalty, False
 
     def score_ceiling(self, start: Snapshot) -> np.ndarray | None:
         return None if self.goal_x is None else self.gain * (self.goal_x - start.x)
