@@ -21,7 +21,7 @@ from evogymcm.algos.material_search import MaterialSearch
 from evogymcm.algos.ppo import PPOConfig
 from evogymcm.algos.runs import RunFolder
 from evogymcm.algos.sharing import PerDesign, stack_states, take_state
-from evogymcm.algos.trainer import limited_threads
+from evogymcm.algos.threads import limited_threads
 from evogymcm.algos.training import Progress, TrainResult, train
 from evogymcm.envs import PopulationEnv
 

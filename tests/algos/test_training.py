@@ -9,7 +9,7 @@ from dataclasses import asdict, replace
 import pytest
 import torch
 
-from evogymcm.algos import PPOConfig, RunFolder, Trainer, evaluate, make_actor, train
+from evogymcm.algos import PPOConfig, RunFolder, Trainer, evaluate, load_actor, make_actor, train
 from tests.algos.toy_env import SMALL, WIDE, ToyEnv
 
 TINY = PPOConfig(total_steps=960, num_worlds=8, rollout_steps=20, epochs=2, minibatch=40, hidden=16, eval_interval=400)
@@ -57,7 +57,7 @@ def test_global_state_is_left_alone():
     expected = torch.rand(3)
     torch.manual_seed(5)
     threads = torch.get_num_threads()
-    train(make_toy, TINY)
+    load_actor(train(make_toy, TINY).best)
     assert torch.equal(torch.rand(3), expected)
     assert torch.get_num_threads() == threads
 
@@ -118,14 +118,19 @@ def test_ctrl_c_ends_after_the_update_with_a_checkpoint(tmp_path):
 
 
 def test_run_folder_holds_policies_that_load(tmp_path):
-    run = RunFolder(tmp_path / "run", asdict(TINY))
-    result = train(make_toy, TINY, run=run)
+    run, seeds = RunFolder(tmp_path / "run", asdict(TINY)), []
+
+    def make(*, num_worlds, seed):
+        seeds.append(seed)
+        return make_toy(num_worlds=num_worlds, seed=seed)
+
+    result = train(make, TINY, run=run)
     actor = make_actor(make_toy(num_worlds=1), TINY.hidden)
     actor.load_state_dict(run.load("final")["actor"])
-    assert evaluate(actor, make_toy(num_worlds=1)).score[0] == result.final.score[0]
+    assert evaluate(actor, make_toy(num_worlds=1, seed=seeds[-1])).score[0] == result.final.score[0]
     best = run.load("best")
     actor.load_state_dict(best["actor"])
-    assert evaluate(actor, make_toy(num_worlds=1)).score[0] == best["row"]["score"] == result.best_score
+    assert evaluate(actor, make_toy(num_worlds=1, seed=seeds[-1])).score[0] == best["row"]["score"] == result.best_score
     assert run.rows() == json.loads(json.dumps(result.rows))
     again = train(make_toy, TINY, run=RunFolder(tmp_path / "run", asdict(TINY), resume=True))
     assert again.env_steps == result.env_steps
