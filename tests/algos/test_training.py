@@ -106,6 +106,32 @@ def test_a_killed_run_goes_on_from_its_last_checkpoint(tmp_path):
     assert [row["env_steps"] for row in resumed.rows] == [row["env_steps"] for row in whole.rows]
 
 
+def test_a_failure_closes_every_environment():
+    made = []
+
+    class Broken(ToyEnv):
+        def __init__(self, *args, fails_at=10**9, **kwargs):
+            super().__init__(*args, **kwargs)
+            self.fails_at = fails_at
+            made.append(self)
+
+        def _step(self, tensordict):
+            if self.steps.max() > self.fails_at:
+                raise RuntimeError("blew up")
+            return super()._step(tensordict)
+
+    def crash(progress):
+        raise RuntimeError("power cut")
+
+    with pytest.raises(RuntimeError, match="power cut"):
+        train(Broken, TINY, progress=crash)  # after an evaluation
+    with pytest.raises(RuntimeError, match="blew up"):
+        train(functools.partial(Broken, fails_at=30), TINY)  # within one
+    with pytest.raises(ValueError, match="flat observation"):
+        train(functools.partial(Broken, bodies=[SMALL, WIDE]), replace(TINY, network="mlp"))
+    assert [env.is_closed for env in made] == [True] * 5
+
+
 def test_ctrl_c_ends_after_the_update_with_a_checkpoint(tmp_path):
     def press(progress):
         if progress.env_steps == 320:
