@@ -11,6 +11,7 @@ import pytest
 from evogymcm.algos import PPOConfig
 from evogymcm.algos.codesign import CodesignConfig, codesign
 from evogymcm.algos.parallel import RayExecutor, codesign_all
+from tests.algos.test_codesign import TINY as DASHING
 
 # On a task of the package, which workers know without this file.
 PPO = PPOConfig(
@@ -19,6 +20,7 @@ PPO = PPOConfig(
 )  # fmt: skip
 TINY = CodesignConfig("Thrower-v0", shape=(2, 3), population=3, budget=3, ppo=PPO)
 CONFIGS = {f"seed{seed}": replace(TINY, seed=seed) for seed in range(2)}
+SHORT = {name: replace(config, task=DASHING.task) for name, config in CONFIGS.items()}  # of this process
 
 
 class Here(Executor):
@@ -34,21 +36,22 @@ class Here(Executor):
 
 
 @functools.cache
-def alone():
-    return {name: codesign(config).rows for name, config in CONFIGS.items()}
+def alone(seed, task):
+    return codesign(replace(TINY, seed=seed, task=task)).rows
 
 
-def check(executor, tmp_path):
-    results = dict(codesign_all(CONFIGS, tmp_path, executor))
-    assert {name: result.rows for name, result in results.items()} == alone()
-    assert alone()["seed0"] != alone()["seed1"]
+def check(executor, tmp_path, configs=CONFIGS):
+    results = dict(codesign_all(configs, tmp_path, executor))
+    expected = {name: alone(config.seed, config.task) for name, config in configs.items()}
+    assert {name: result.rows for name, result in results.items()} == expected
+    assert expected["seed0"] != expected["seed1"]
 
 
 def test_runs_in_threads_are_those_of_one_after_another(tmp_path):
     with ThreadPoolExecutor(2) as executor:
-        check(executor, tmp_path)
+        check(executor, tmp_path, SHORT)
     assert (tmp_path / "seed1" / "config.json").is_file()
-    again = dict(codesign_all(CONFIGS, tmp_path, Here()))  # finished runs are only read
+    again = dict(codesign_all(SHORT, tmp_path, Here()))  # finished runs are only read
     assert all(result.finished for result in again.values())
 
 
@@ -56,7 +59,7 @@ def test_a_failed_run_is_raised(tmp_path):
     (tmp_path / "seed0").mkdir()
     (tmp_path / "seed0" / "something").touch()
     with pytest.raises(FileExistsError, match="not a run folder"):
-        dict(codesign_all(CONFIGS, tmp_path, Here()))
+        dict(codesign_all(SHORT, tmp_path, Here()))
 
 
 @pytest.mark.slow
