@@ -215,8 +215,9 @@ class Trainer:
         self.seconds, self.best = state["seconds"], state["best"]
 
     def close(self) -> None:
-        """Closes the environment, with its threads; only `policy_state` and what needs no environment is left then."""
+        """Closes the environment, with its threads, and hands the actor's noise over to torch's global generator."""
         self.collector.shutdown()
+        self.actor.generator = None
 
     def __enter__(self) -> Self:
         return self

@@ -63,6 +63,15 @@ def test_global_state_is_left_alone():
     assert torch.get_num_threads() == threads
 
 
+def test_the_policy_of_a_run_that_is_over_draws_as_torch_is_seeded():
+    actor, state, actions = train(make_toy, replace(TINY, total_steps=160)).actor, make_toy().reset(), []
+    for seed in (0, 0, 1):
+        torch.manual_seed(seed)
+        actions.append(actor(state.clone())["action", "actuation"])
+    assert torch.equal(actions[0], actions[1])
+    assert not torch.equal(actions[0], actions[2])
+
+
 def test_rows_and_progress_tell_the_whole_run():
     told = []
     result = train(make_toy, TINY, progress=told.append)
