@@ -82,11 +82,11 @@ class Trainer:
         self.generator = torch.Generator().manual_seed(config.seed)
         # Worlds count up from a seed: those of training and evaluation, and of other runs, must not come near it.
         seed, self._eval_seed = np.random.SeedSequence(config.seed).generate_state(2).tolist()
-        env = make_env(num_worlds=config.num_worlds, seed=seed)
+        self._env = make_env(num_worlds=config.num_worlds, seed=seed)
         try:
-            self._set_up(env)
+            self._set_up(self._env)
         except BaseException:
-            env.close(raise_if_closed=False)
+            self._env.close(raise_if_closed=False)
             raise
 
     def _set_up(self, env: EnvBase) -> None:
@@ -216,7 +216,8 @@ class Trainer:
 
     def close(self) -> None:
         """Closes the environment, with its threads, and hands the actor's noise over to torch's global generator."""
-        self.collector.shutdown()
+        self.collector.shutdown(close_env=False)
+        self._env.close(raise_if_closed=False)  # TorchRL takes environments for closed that were never open
         self.actor.generator = None
 
     def __enter__(self) -> Self:
