@@ -12,6 +12,7 @@ from evogymcm import Body, sample_body
 from evogymcm.algos import BodyPPOConfig, PPOConfig, RunFolder, make_actor
 from evogymcm.algos.designs import Design
 from evogymcm.algos.generation import Arena, Policy, Trained, score_alone, train_designs
+from evogymcm.algos.threads import limited_threads
 from evogymcm.envs.tasks import as_task
 
 SHAPE = (5, 5)
@@ -181,9 +182,9 @@ class Job:
 def untrained_policy(arena: Arena, designs: Sequence[Design], ppo: PPOConfig) -> Policy:
     """Returns the policy that shared training starts from."""
     env = arena.make(designs, 1, ppo.seed)
-    with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(ppo.seed)
-        actor = make_actor(env, ppo.hidden, ppo.initial_std, context=ppo.context)
+    generator = torch.Generator().manual_seed(ppo.seed)
+    with limited_threads(ppo.torch_threads):
+        actor = make_actor(env, ppo.hidden, ppo.initial_std, context=ppo.context, generator=generator)
     return {"form": actor.form, "actor": actor.state_dict()}
 
 

@@ -7,7 +7,7 @@ from evogymcm.algos.distributions import MaskedClippedNormal, VoxelActions
 from evogymcm.algos.evaluate import Evaluation, evaluate
 from evogymcm.algos.memory import keep_freed_memory
 from evogymcm.algos.ppo import PPOConfig, PPOLearner
-from evogymcm.algos.runs import RunFolder, stop_on_interrupt
+from evogymcm.algos.runs import RunFolder, RunInUseError, stop_on_interrupt
 from evogymcm.algos.sharing import PerDesign, by_design, by_world, stack_states, take_state
 from evogymcm.algos.trainer import EnvFactory, Trainer
 from evogymcm.algos.training import Progress, TrainResult, train
@@ -25,6 +25,7 @@ __all__ = [
     "PerDesign",
     "Progress",
     "RunFolder",
+    "RunInUseError",
     "TrainResult",
     "Trainer",
     "VoxelActions",

@@ -8,13 +8,13 @@ import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor, nn
-from torchrl.envs import EnvBase, ExplorationType
-from torchrl.envs.utils import exploration_type
+from torchrl.envs import EnvBase
 
 from evogymcm.algos.context import CONTEXTS
 from evogymcm.algos.distributions import IDLE, MaskedClippedNormal, VoxelActions
 from evogymcm.algos.features import N_INPUTS, Dense, NormalizedDense, compact, voxel_frame, voxel_inputs
 from evogymcm.algos.sharing import take_state
+from evogymcm.algos.threads import explores
 
 __all__ = ["Actor", "MLPActor", "VoxelActor", "load_actor", "make_actor"]
 
@@ -27,8 +27,9 @@ _REACH = 2.0  # means stay within this many half ranges: a bound can be held, an
 class Actor(TensorDictModuleBase):
     """Stochastic policy with one bounded action for each voxel and head.
 
-    It samples unless the exploration type is deterministic (`torchrl.envs.set_exploration_type`). With `copies`, it is
-    D policies with weights of their own, and inputs have a leading dimension of designs (see `sharing`).
+    It samples unless the exploration type is deterministic (`torchrl.envs.set_exploration_type`); trainers and
+    evaluations say for their own thread which it is. With `copies`, it is D policies with weights of their own, and
+    inputs have a leading dimension of designs (see `sharing`).
 
     Args:
         in_keys: observations that the means depend on.
@@ -44,6 +45,7 @@ class Actor(TensorDictModuleBase):
     log_prob_keys = ["action_log_prob"]  # noqa: RUF012
     noise_correlation: float  # of exploration, from one env-step to the next; 0 for white noise
     noise: Tensor | None  # the last step's
+    generator: torch.Generator | None  # of the noise; None for torch's global one
     form: dict[str, Any]  # arguments that make another of the same form, with the name of the network
 
     def __init__(
@@ -55,7 +57,7 @@ class Actor(TensorDictModuleBase):
         self.ranges, self.copies = dict(ranges), copies
         self.in_keys = list(dict.fromkeys([*in_keys, *(_HEADS[name][0] for name in ranges)]))
         self.out_keys = [*(("action", name) for name in ranges), "action_log_prob"]
-        self.noise_correlation, self.noise = 0.0, None
+        self.noise_correlation, self.noise, self.generator = 0.0, None, None
         lead = () if copies is None else (copies,)
         self.log_std = nn.Parameter(torch.full((*lead, len(ranges)), math.log(initial_std)))
 
@@ -90,8 +92,7 @@ class Actor(TensorDictModuleBase):
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Writes `action` and `action_log_prob` into `tensordict` and returns it."""
         dist = self.get_dist(tensordict)
-        is_random = exploration_type() in (None, ExplorationType.RANDOM)
-        action = dist.with_noise(self._draw(dist)) if is_random else dist.mode
+        action = dist.with_noise(self._draw(dist)) if explores() else dist.mode
         tensordict.set("action", action)
         tensordict.set("action_log_prob", dist.log_prob(action))
         return tensordict
@@ -99,7 +100,8 @@ class Actor(TensorDictModuleBase):
     def _draw(self, dist: VoxelActions) -> Tensor:
         """Returns standard normal noise (..., V, heads), correlated with that of the step before."""
         loc = next(iter(dist.heads.values())).loc
-        fresh = torch.randn(*loc.shape, len(self.ranges), dtype=loc.dtype, device=loc.device)
+        shape = (*loc.shape, len(self.ranges))
+        fresh = torch.randn(shape, generator=self.generator, dtype=loc.dtype, device=loc.device)
         if not self.noise_correlation:
             return fresh
         if self.noise is None or self.noise.shape != fresh.shape:
@@ -138,6 +140,7 @@ class VoxelActor(Actor):
             its neighbours encode) or "attention".
         columns: of the padded grid; it matters to messages only, and is no weight: set it anew for another grid.
         copies: D policies with weights of their own; None for one.
+        generator: of the first weights; torch's global one by default.
 
     Raises:
         ValueError: if `ranges` names no head or an unknown one, and for an unknown context.
@@ -152,6 +155,7 @@ class VoxelActor(Actor):
         context: str = "body",
         columns: int = 1,
         copies: int | None = None,
+        generator: torch.Generator | None = None,
     ) -> None:
         super().__init__(["voxels", "types", "task", "occupancy"], ranges, initial_std, copies)
         if context not in CONTEXTS:
@@ -159,14 +163,15 @@ class VoxelActor(Actor):
         self.columns = columns
         self.form = {"network": "voxel", "task_features": task_features, "ranges": self.ranges, "hidden": hidden}
         self.form |= {"context": context, "columns": columns, "copies": copies}
-        self.encode = NormalizedDense(N_INPUTS, hidden, voxel_frame(), copies)
-        self.task = NormalizedDense(task_features, hidden, copies=copies)
-        self.local = Dense(hidden, hidden, bias=False, copies=copies)  # that of the task's features is the layer's
-        self.context = CONTEXTS[context](hidden, copies)
-        self.heads = Dense(hidden, len(ranges), copies=copies)
+        options: dict[str, Any] = {"copies": copies, "generator": generator}
+        self.encode = NormalizedDense(N_INPUTS, hidden, voxel_frame(), **options)
+        self.task = NormalizedDense(task_features, hidden, **options)
+        self.local = Dense(hidden, hidden, bias=False, **options)  # that of the task's features is the layer's
+        self.context = CONTEXTS[context](hidden, **options)
+        self.heads = Dense(hidden, len(ranges), **options)
         for layer in (self.encode, self.local):
-            layer.orthogonal(math.sqrt(2))
-        self.heads.orthogonal(0.01)
+            layer.orthogonal(math.sqrt(2), generator)
+        self.heads.orthogonal(0.01, generator)
         with torch.no_grad():
             self.heads.bias.copy_(self._starts())
 
@@ -199,6 +204,7 @@ class MLPActor(Actor):
         hidden: width of both hidden layers.
         initial_std: standard deviation that training starts with, in half ranges of the action.
         copies: policies with weights of their own; None for one.
+        generator: of the first weights; torch's global one by default.
     """
 
     def __init__(
@@ -209,16 +215,18 @@ class MLPActor(Actor):
         hidden: int = 64,
         initial_std: float = 1.0,
         copies: int | None = None,
+        generator: torch.Generator | None = None,
     ) -> None:
         super().__init__(["observation"], ranges, initial_std, copies)
         self.form = {"network": "mlp", "features": features, "n_cells": n_cells, "ranges": self.ranges}
         self.form |= {"hidden": hidden, "copies": copies}
-        self.encode = NormalizedDense(features, hidden, copies=copies)
-        self.hidden = Dense(hidden, hidden, copies=copies)
-        self.heads = Dense(hidden, n_cells * len(ranges), copies=copies)
+        options: dict[str, Any] = {"copies": copies, "generator": generator}
+        self.encode = NormalizedDense(features, hidden, **options)
+        self.hidden = Dense(hidden, hidden, **options)
+        self.heads = Dense(hidden, n_cells * len(ranges), **options)
         for layer in (self.encode, self.hidden):
-            layer.orthogonal(math.sqrt(2))
-        self.heads.orthogonal(0.01)
+            layer.orthogonal(math.sqrt(2), generator)
+        self.heads.orthogonal(0.01, generator)
         with torch.no_grad():
             self.heads.bias.copy_(self._starts().repeat(n_cells))
 
@@ -240,6 +248,7 @@ def make_actor(
     network: str = "voxel",
     context: str = "body",
     copies: int | None = None,
+    generator: torch.Generator | None = None,
 ) -> Actor:
     """Returns an untrained actor that fits the observations and action ranges of `env`.
 
@@ -250,6 +259,7 @@ def make_actor(
         network: "voxel", or "mlp" for the plain network on the flat observation, where all bodies are equal.
         context: of the voxel network, see `VoxelActor`.
         copies: policies with weights of their own; None for one.
+        generator: of the first weights; torch's global one by default.
 
     Raises:
         ValueError: for an unknown network, and for "mlp" where bodies differ.
@@ -258,7 +268,7 @@ def make_actor(
     spaces = {name: spec.space for name, spec in env.full_action_spec["action"].items()}
     ranges = {name: (space.low.min().item(), space.high.max().item()) for name, space in spaces.items()}
     spec = env.observation_spec
-    options: dict[str, Any] = {"initial_std": initial_std, "copies": copies}
+    options: dict[str, Any] = {"initial_std": initial_std, "copies": copies, "generator": generator}
     options |= {} if hidden is None else {"hidden": hidden}
     if network == "mlp":
         return MLPActor(spec["observation"].shape[-1], spec["occupancy"].shape[-1], ranges, **options)
@@ -275,7 +285,8 @@ def load_actor(checkpoint: Mapping[str, Any], index: int | None = None) -> Actor
     form, weights = dict(checkpoint["form"]), checkpoint["actor"]
     if index is not None:
         form, weights = form | {"copies": None}, take_state(weights, index)
-    actor = {"voxel": VoxelActor, "mlp": MLPActor}[form.pop("network")](**form)
+    network = {"voxel": VoxelActor, "mlp": MLPActor}[form.pop("network")]
+    actor = network(**form, generator=torch.Generator())  # of weights that are replaced at once
     actor.load_state_dict(weights)
     return actor
 

@@ -322,10 +322,11 @@ def codesign(
     Raises:
         ValueError: A run of these settings cannot start, see `CodesignConfig.check`; nothing has been simulated then.
     """
-    state = Codesign(config, run)
-    with stop_on_interrupt() if should_stop is None else nullcontext(should_stop) as is_stopped:
-        while not state.is_finished and not is_stopped():
-            if not state.advance(progress, is_stopped):
-                break
+    with run.lock() if run else nullcontext():
+        state = Codesign(config, run)
+        with stop_on_interrupt() if should_stop is None else nullcontext(should_stop) as is_stopped:
+            while not state.is_finished and not is_stopped():
+                if not state.advance(progress, is_stopped):
+                    break
     best, policy = state.ledger.champion or (None, None)
     return CodesignResult(best, policy, state.ledger.rows, state.env_steps, state.is_finished)

@@ -22,11 +22,12 @@ class Context(nn.Module):
     Args:
         hidden: H, width of what voxels encode.
         copies: as for `Dense`.
+        generator: as for `Dense`.
     """
 
     needs_grid = False  # whether it depends on the places of voxels in the grid
 
-    def __init__(self, hidden: int, copies: int | None = None) -> None:
+    def __init__(self, hidden: int, copies: int | None = None, generator: torch.Generator | None = None) -> None:
         super().__init__()
         self.hidden = hidden
 
@@ -45,10 +46,10 @@ class Context(nn.Module):
 class BodyContext(Context):
     """The mean over the body."""
 
-    def __init__(self, hidden: int, copies: int | None = None) -> None:
-        super().__init__(hidden, copies)
-        self.body = Dense(hidden, hidden, bias=False, copies=copies)
-        self.body.orthogonal(math.sqrt(2))
+    def __init__(self, hidden: int, copies: int | None = None, generator: torch.Generator | None = None) -> None:
+        super().__init__(hidden, copies, generator)
+        self.body = Dense(hidden, hidden, bias=False, copies=copies, generator=generator)
+        self.body.orthogonal(math.sqrt(2), generator)
 
     def forward(self, encoded: Tensor, occupancy: Tensor, types: Tensor, columns: int) -> Tensor:
         """Returns (..., 1, H)."""
@@ -60,9 +61,9 @@ class MessageContext(BodyContext):
 
     needs_grid = True
 
-    def __init__(self, hidden: int, copies: int | None = None) -> None:
-        super().__init__(hidden, copies)
-        self.neighbours = Dense(4 * hidden, hidden, bias=False, copies=copies)
+    def __init__(self, hidden: int, copies: int | None = None, generator: torch.Generator | None = None) -> None:
+        super().__init__(hidden, copies, generator)
+        self.neighbours = Dense(4 * hidden, hidden, bias=False, copies=copies, generator=generator)
 
     def forward(self, encoded: Tensor, occupancy: Tensor, types: Tensor, columns: int) -> Tensor:
         """Returns (..., V, H)."""
@@ -76,10 +77,12 @@ class MessageContext(BodyContext):
 class AttentionContext(Context):
     """What each voxel asks of all others: one head of dot-product attention."""
 
-    def __init__(self, hidden: int, copies: int | None = None) -> None:
-        super().__init__(hidden, copies)
-        self.query, self.key, self.value = (Dense(hidden, hidden, bias=False, copies=copies) for _ in range(3))
-        self.value.orthogonal(math.sqrt(2))
+    def __init__(self, hidden: int, copies: int | None = None, generator: torch.Generator | None = None) -> None:
+        super().__init__(hidden, copies, generator)
+        self.query, self.key, self.value = (
+            Dense(hidden, hidden, bias=False, copies=copies, generator=generator) for _ in range(3)
+        )
+        self.value.orthogonal(math.sqrt(2), generator)
 
     def forward(self, encoded: Tensor, occupancy: Tensor, types: Tensor, columns: int) -> Tensor:
         """Returns (..., V, H)."""

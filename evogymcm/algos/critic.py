@@ -21,20 +21,28 @@ class VoxelCritic(TensorDictModuleBase):
         task_features: features of the task, G.
         hidden: width of the hidden layers.
         copies: critics with weights of their own, for inputs with a leading dimension of designs; None for one.
+        generator: of the first weights; torch's global one by default.
     """
 
     in_keys = ["voxels", "types", "task", "occupancy"]  # noqa: RUF012
     out_keys = ["state_value"]  # noqa: RUF012
 
-    def __init__(self, task_features: int, hidden: int = 32, copies: int | None = None) -> None:
+    def __init__(
+        self,
+        task_features: int,
+        hidden: int = 32,
+        copies: int | None = None,
+        generator: torch.Generator | None = None,
+    ) -> None:
         super().__init__()
-        self.encode = NormalizedDense(N_INPUTS, hidden, voxel_frame(), copies)
-        self.task = NormalizedDense(task_features, hidden, copies=copies)
-        self.body = Dense(hidden, hidden, bias=False, copies=copies)
-        self.value = Dense(hidden, 1, copies=copies)
+        options: dict[str, Any] = {"copies": copies, "generator": generator}
+        self.encode = NormalizedDense(N_INPUTS, hidden, voxel_frame(), **options)
+        self.task = NormalizedDense(task_features, hidden, **options)
+        self.body = Dense(hidden, hidden, bias=False, **options)
+        self.value = Dense(hidden, 1, **options)
         for layer in (self.encode, self.body):
-            layer.orthogonal(math.sqrt(2))
-        self.value.orthogonal(0.1)
+            layer.orthogonal(math.sqrt(2), generator)
+        self.value.orthogonal(0.1, generator)
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Writes `state_value` (..., 1) into `tensordict` and returns it."""
@@ -56,19 +64,27 @@ class MLPCritic(TensorDictModuleBase):
         features: size of the flat observation, D.
         hidden: width of the hidden layers.
         copies: critics with weights of their own; None for one.
+        generator: of the first weights; torch's global one by default.
     """
 
     in_keys = ["observation"]  # noqa: RUF012
     out_keys = ["state_value"]  # noqa: RUF012
 
-    def __init__(self, features: int, hidden: int = 64, copies: int | None = None) -> None:
+    def __init__(
+        self,
+        features: int,
+        hidden: int = 64,
+        copies: int | None = None,
+        generator: torch.Generator | None = None,
+    ) -> None:
         super().__init__()
-        self.encode = NormalizedDense(features, hidden, copies=copies)
-        self.hidden = Dense(hidden, hidden, copies=copies)
-        self.value = Dense(hidden, 1, copies=copies)
+        options: dict[str, Any] = {"copies": copies, "generator": generator}
+        self.encode = NormalizedDense(features, hidden, **options)
+        self.hidden = Dense(hidden, hidden, **options)
+        self.value = Dense(hidden, 1, **options)
         for layer in (self.encode, self.hidden):
-            layer.orthogonal(math.sqrt(2))
-        self.value.orthogonal(0.1)
+            layer.orthogonal(math.sqrt(2), generator)
+        self.value.orthogonal(0.1, generator)
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Writes `state_value` (..., 1) into `tensordict` and returns it."""
@@ -85,12 +101,18 @@ Critic = VoxelCritic | MLPCritic
 
 
 def make_critic(
-    env: EnvBase, hidden: int | None = None, *, network: str = "voxel", copies: int | None = None
+    env: EnvBase,
+    hidden: int | None = None,
+    *,
+    network: str = "voxel",
+    copies: int | None = None,
+    generator: torch.Generator | None = None,
 ) -> Critic:
     """Returns an untrained critic that fits the observations of `env`; arguments as for `make_actor`."""
     check_network(network, env)
     spec = env.observation_spec
-    options: dict[str, Any] = {"copies": copies} | ({} if hidden is None else {"hidden": hidden})
+    options: dict[str, Any] = {"copies": copies, "generator": generator}
+    options |= {} if hidden is None else {"hidden": hidden}
     if network == "mlp":
         return MLPCritic(spec["observation"].shape[-1], **options)
     return VoxelCritic(spec["task"].shape[-1], **options)

@@ -8,9 +8,11 @@ import torch
 from numpy.typing import NDArray
 from tensordict.nn import TensorDictModuleBase
 from torchrl.envs import EnvBase
-from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-__all__ = ["Evaluation", "evaluate"]
+from evogymcm.algos.threads import exploration
+from evogymcm.envs.task import Task
+
+__all__ = ["Evaluation", "draws_at_random", "evaluate"]
 
 
 @dataclass(frozen=True)
@@ -21,7 +23,7 @@ class Evaluation:
         score: sum of the rewards of all env-steps but the episode's last one, as the EvoGymCM paper counts.
         returns: sum of all rewards, with goal bonuses and penalties.
         length: env-steps of the episode.
-        goal: whether it ended by reaching the task's goal.
+        goal: whether it ended at a goal of the task.
         unstable: whether the simulation became unstable.
         env_steps: simulated in all, those of worlds that waited for the last one included.
         ceiling: largest possible score where the task has one, NaN where it has none.
@@ -60,12 +62,18 @@ class Evaluation:
         return {name: np.asarray(values).tolist() for name, values in asdict(self).items()}
 
 
+def draws_at_random(env: EnvBase) -> bool:
+    """Returns whether the episodes of an environment's task differ by what they draw at random."""
+    return getattr(type(env.task), "draw", Task.draw) is not Task.draw
+
+
 @torch.no_grad()
 def evaluate(policy: TensorDictModuleBase, env: EnvBase) -> Evaluation:
     """Plays one episode in every world of `env` with deterministic actions and returns the outcome.
 
     The policy is not changed, and no random numbers are drawn from torch. Give it a freshly made env: a reset restores
-    the initial state, but the env's own random generator goes on from where it was.
+    the initial state, but the env's own random generator goes on from where it was. Modules other than this library's
+    actors follow TorchRL's exploration type, which is one for all threads: evaluate them in one thread at a time.
 
     Args:
         policy: the actor, or any TensorDict module that writes the env's action.
@@ -75,17 +83,15 @@ def evaluate(policy: TensorDictModuleBase, env: EnvBase) -> Evaluation:
     score, returns = np.zeros(n), np.zeros(n)
     length, unstable, goal = np.zeros(n, dtype=np.int64), np.zeros(n, dtype=bool), np.zeros(n, dtype=bool)
     running = np.ones(n, dtype=bool)
-    with set_exploration_type(ExplorationType.DETERMINISTIC):
+    with exploration(False):
         state = env.reset()
         while running.any():
             step, state = env.step_and_maybe_reset(policy(state))  # finished worlds start anew and are ignored
             following = step["next"]
             length += running
             ended = running & following["done"].squeeze(-1).numpy()
-            for record, key in ((score, "score"), (returns, "return"), (unstable, "unstable")):
+            for record, key in ((score, "score"), (returns, "return"), (unstable, "unstable"), (goal, "reached")):
                 record[ended] = following[key].squeeze(-1).numpy()[ended]
-            is_over = following["terminated"].squeeze(-1).numpy() & ended
-            goal |= is_over & (returns > score)  # goals end an episode with a bonus, falls and instability with less
             running &= ~ended
     ceiling = np.array(env.score_ceiling, dtype=np.float64)
     return Evaluation(score, returns, length, goal, unstable, ceiling, n * int(length.max()))

@@ -74,23 +74,31 @@ class Dense(nn.Module):
         out_features: size of the output.
         bias: whether there is one.
         copies: D independent layers, for inputs (D, ..., in_features); None for a single one.
+        generator: of the weights; torch's global one by default.
     """
 
     bias: nn.Parameter  # or None
 
-    def __init__(self, in_features: int, out_features: int, bias: bool = True, copies: int | None = None) -> None:
+    def __init__(
+        self,
+        in_features: int,
+        out_features: int,
+        bias: bool = True,
+        copies: int | None = None,
+        generator: torch.Generator | None = None,
+    ) -> None:
         super().__init__()
         lead = () if copies is None else (copies,)
         self.copies = copies
         self.weight = nn.Parameter(torch.zeros(*lead, out_features, in_features))
         self.register_parameter("bias", nn.Parameter(torch.zeros(*lead, out_features)) if bias else None)
-        self.orthogonal()
+        self.orthogonal(1.0, generator)
 
     @torch.no_grad()
-    def orthogonal(self, gain: float = 1.0) -> None:
+    def orthogonal(self, gain: float, generator: torch.Generator | None) -> None:
         """Sets orthogonal weights and zero biases (in place)."""
         for weight in self.weight if self.copies else (self.weight,):
-            nn.init.orthogonal_(weight, gain)
+            nn.init.orthogonal_(weight, gain, generator)
         if self.bias is not None:
             self.bias.zero_()
 
@@ -119,6 +127,7 @@ class NormalizedDense(Dense):
         out_features: size of the output.
         frame: linear map applied before normalisation, (mapped, in_features); None for none.
         copies: as for `Dense`; every design has statistics of its own.
+        generator: as for `Dense`.
     """
 
     count: Tensor
@@ -129,10 +138,15 @@ class NormalizedDense(Dense):
     shift: Tensor  # of scaled inputs: (mapped,)
 
     def __init__(
-        self, in_features: int, out_features: int, frame: Tensor | None = None, copies: int | None = None
+        self,
+        in_features: int,
+        out_features: int,
+        frame: Tensor | None = None,
+        copies: int | None = None,
+        generator: torch.Generator | None = None,
     ) -> None:
         mapped = in_features if frame is None else frame.shape[0]
-        super().__init__(mapped, out_features, copies=copies)
+        super().__init__(mapped, out_features, copies=copies, generator=generator)
         lead = () if copies is None else (copies,)
         self.register_buffer("frame", frame, persistent=False)
         self.register_buffer("count", torch.zeros(*lead, 1, dtype=torch.float64))

@@ -22,7 +22,7 @@ from evogymcm.algos.material_search import MaterialSearch
 from evogymcm.algos.runs import RunFolder
 from evogymcm.algos.settings import check_choice, check_count
 from evogymcm.algos.sharing import PerDesign, stack_states, take_state
-from evogymcm.algos.trainer import limited_threads
+from evogymcm.algos.threads import limited_threads
 from evogymcm.algos.training import Progress, TrainResult, train
 from evogymcm.envs import SoftRobotEnv
 from evogymcm.envs.designs import MATERIALS

@@ -4,11 +4,12 @@
         for folder, result in codesign_all(configs, Path("runs"), executor): ...
 
 With Dask, `Client(...).get_executor(pure=False)` is an executor; with Ray, `RayExecutor()`. Workers must see the same
-file system.
+file system; several threads in one are as good as several workers.
 """
 
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Executor, Future, as_completed
+from concurrent.futures import wait as futures_wait
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -65,22 +66,58 @@ def codesign_all(
         yield futures[future], future.result()
 
 
+def _call(function: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Any:
+    """Calls anything: Ray itself takes plain functions only, and makes an actor of a class."""
+    return function(*args, **kwargs)
+
+
 class RayExecutor(Executor):
-    """Runs calls as tasks of a Ray cluster, the present one or a new local one (extra `evogymcm[ray]`)."""
+    """Runs calls as tasks of a Ray cluster (extra `evogymcm[ray]`).
+
+    Where the program has a Ray session already, that is used, and outlives the executor; else one is opened.
+
+    Args:
+        options: of `ray.init`, where a session is opened, such as `address="auto"`; a new local cluster by default.
+
+    Raises:
+        ImportError: the package ray is missing.
+    """
 
     def __init__(self, **options: Any) -> None:
         try:
             import ray
         except ImportError as error:
             raise ImportError("RayExecutor needs the package ray: pip install evogymcm[ray]") from error
-        self._ray = ray
-        if not ray.is_initialized():
+        self._ray, self._is_ours = ray, not ray.is_initialized()
+        if self._is_ours:
             ray.init(**options)
+        self._is_shut = False
+        self._pending: dict[Future, Any] = {}
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future:
         """Returns the future of one call."""
-        return self._ray.remote(fn).remote(*args, **kwargs).future()
+        if self._is_shut:
+            raise RuntimeError("submit: the executor has been shut down")
+        call = self._ray.remote(_call).remote(fn, *args, **kwargs)
+        future = call.future()
+        self._pending[future] = call
+        future.add_done_callback(self._pending.pop)
+        return future
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
-        """Leaves the cluster."""
-        self._ray.shutdown()
+        """Takes no more calls, and ends the session if it was this executor that opened it.
+
+        Args:
+            wait: for the calls under way; without, the session goes on with them until the program ends.
+            cancel_futures: whether calls that have not ended are cancelled.
+        """
+        self._is_shut = True
+        pending = dict(self._pending)
+        if cancel_futures:
+            for call in pending.values():
+                self._ray.cancel(call)
+        if wait:
+            futures_wait(pending)
+            if self._is_ours:
+                self._is_ours = False
+                self._ray.shutdown()

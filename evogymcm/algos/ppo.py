@@ -76,7 +76,7 @@ class PPOConfig:
             than white noise, whose pushes cancel each other (Hollenstein et al., 2024); each step's noise by itself has
             the policy's distribution, which is all that the likelihood ratios look at.
         eval_interval: env-steps between evaluations; 0 for only the untrained and the final policy.
-        eval_worlds: worlds in an evaluation; None for one of each design.
+        eval_worlds: worlds in an evaluation; None for one of each design, or 8 where the task draws at random.
         seed: of weights, exploration and environments.
         torch_threads: threads of torch while training.
 
@@ -150,10 +150,13 @@ class PPOLearner:
         actor: the policy, changed in place.
         critic: the state value, changed in place.
         config: settings of the run.
+        generator: of the order of samples; torch's global one by default.
     """
 
-    def __init__(self, actor: Actor, critic: Critic, config: PPOConfig) -> None:
-        self.actor, self.critic, self.config = actor, critic, config
+    def __init__(
+        self, actor: Actor, critic: Critic, config: PPOConfig, generator: torch.Generator | None = None
+    ) -> None:
+        self.actor, self.critic, self.config, self.generator = actor, critic, config, generator
         self.copies = actor.copies
         self.loss = ClipPPOLoss(
             actor,
@@ -186,7 +189,7 @@ class PPOLearner:
             group["lr"] = rate
         samples, explained = self._samples(rollout)
         for epoch in range(1, config.epochs + 1):  # noqa: B007  (used after the loop)
-            shuffled = samples[..., torch.randperm(samples.shape[-1])]
+            shuffled = samples[..., torch.randperm(samples.shape[-1], generator=self.generator)]
             logged = torch.stack([self._step(batch) for batch in shuffled.split(config.minibatch, -1)]).mean(0)
             stats = dict(zip(_LOGGED, logged.tolist(), strict=True))
             if config.target_kl and stats["kl"] > 1.5 * config.target_kl:

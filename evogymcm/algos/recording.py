@@ -6,8 +6,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from tensordict.nn import TensorDictModuleBase
-from torchrl.envs.utils import ExplorationType, set_exploration_type
 
+from evogymcm.algos.threads import exploration
 from evogymcm.envs.core import TaskEngine
 from evogymcm.envs.torchrl import SoftRobotEnv
 from evogymcm.sim.springs import X
@@ -130,7 +130,7 @@ def record_episode(policy: TensorDictModuleBase, env: SoftRobotEnv) -> Recording
             f"env: got the {engine.material} setting, expected 'reactive': stiffness does not vary in others"
         )
     rows: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
-    with set_exploration_type(ExplorationType.DETERMINISTIC):
+    with exploration(False):
         state = env.reset()
         ground = GroundContact(engine)
         voxels = ground.cells[:, 0] * engine.grid_shape[1] + ground.cells[:, 1]

@@ -1,5 +1,6 @@
 """Run folders: settings, a table that grows, checkpoints; safe against interruption at any moment."""
 
+import errno
 import json
 import math
 import os
@@ -7,16 +8,19 @@ import shutil
 import signal
 import threading
 import time
+import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import torch
+from filelock import FileLock, Timeout
 
-__all__ = ["RunFolder", "stop_on_interrupt", "write_atomic"]
+__all__ = ["RunFolder", "RunInUseError", "stop_on_interrupt", "write_atomic"]
 
-_CONFIG, _TABLE = "config.json", "curve.jsonl"
+_CONFIG, _TABLE, _LOCK = "config.json", "curve.jsonl", ".lock"
+_CANNOT_LOCK = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP)  # of some network file systems
 _SAME_PRESS = 0.5  # seconds; launchers may pass one Ctrl-C on twice
 
 
@@ -40,8 +44,14 @@ def _plain(value: Any) -> Any:
     return value
 
 
+class RunInUseError(RuntimeError):
+    """Somebody else is at work in a run's folder."""
+
+
 class RunFolder:
     """A folder that holds one run: `config.json`, the table `curve.jsonl`, and named checkpoints (`*.pt`).
+
+    Whoever adds to a run should hold its `lock`, as `train` and `codesign` do; reading needs none.
 
     Args:
         path: the folder, made if it does not exist.
@@ -52,6 +62,7 @@ class RunFolder:
     Raises:
         FileExistsError: if the folder exists and neither flag is given, or it is not a run folder.
         ValueError: if both flags are given, or the settings differ from those of the run to resume.
+        RunInUseError: if somebody is at work in the folder that is to be overwritten.
     """
 
     def __init__(
@@ -61,17 +72,58 @@ class RunFolder:
         config = _plain(config)
         if resume and overwrite:
             raise ValueError("resume and overwrite: only one of them can be set")
-        if self.path.exists() and any(file.suffix != ".part" for file in self.path.iterdir()):
-            if not (self.path / _CONFIG).is_file():
-                raise FileExistsError(f"{self.path} exists and is not a run folder")
-            if overwrite:
-                shutil.rmtree(self.path)
-            elif resume:
-                self._check_same(config)
-            else:
-                raise FileExistsError(f"{self.path} exists; set resume to go on with it or overwrite to replace it")
+        if not self._may_begin(config, resume, overwrite):
+            return
         self.path.mkdir(parents=True, exist_ok=True)
-        self.write_json(_CONFIG, config)
+        with self.lock():
+            if not self._may_begin(config, resume, overwrite):  # another process was quicker
+                return
+            for old in self._files(halves=True):
+                shutil.rmtree(old) if old.is_dir() and not old.is_symlink() else old.unlink()
+            self.write_json(_CONFIG, config)
+
+    def _files(self, halves: bool = False) -> list[Path]:
+        """Returns what there is besides the lock, with or without what a kill left half written."""
+        files = self.path.iterdir() if self.path.exists() else ()
+        return [file for file in files if file.name != _LOCK and (halves or file.suffix != ".part")]
+
+    def _may_begin(self, config: Mapping[str, Any], resume: bool, overwrite: bool) -> bool:
+        """Whether a run begins here; False where one is gone on with. Raises an error where neither is allowed."""
+        if not self._files():
+            return True
+        if not (self.path / _CONFIG).is_file():
+            raise FileExistsError(f"{self.path} exists and is not a run folder")
+        if not (resume or overwrite):
+            raise FileExistsError(f"{self.path} exists; set resume to go on with it or overwrite to replace it")
+        if resume:
+            self._check_same(config)
+        return overwrite
+
+    @contextmanager
+    def lock(self) -> Iterator[None]:
+        """Keeps all others out who would lock the folder too: other processes, and other threads of this one.
+
+        It ends with the process, however that ends. Where the file system knows no locks, there is a warning instead.
+
+        Raises:
+            RunInUseError: if somebody else has it.
+        """
+        lock = FileLock(self.path / _LOCK)
+        try:
+            lock.acquire(timeout=0)
+        except Timeout:
+            raise RunInUseError(f"{self.path} is in use: another process or thread works on the run") from None
+        except (OSError, NotImplementedError) as error:
+            if isinstance(error, OSError) and error.errno not in _CANNOT_LOCK:
+                raise
+            warnings.warn(
+                f"{self.path}: this file system knows no locks; see to it that only one process works here",
+                stacklevel=2,
+            )
+        try:
+            yield
+        finally:
+            lock.release()
 
     def _check_same(self, config: Mapping[str, Any]) -> None:
         """Compares with the saved settings."""

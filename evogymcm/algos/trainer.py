@@ -2,10 +2,10 @@
 
 import copy
 import time
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
-from typing import Any, Protocol
+from collections.abc import Mapping
+from typing import Any, Protocol, Self
 
+import numpy as np
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torchrl.collectors import Collector
@@ -13,11 +13,14 @@ from torchrl.envs import EnvBase
 
 from evogymcm.algos.actor import make_actor
 from evogymcm.algos.critic import make_critic
-from evogymcm.algos.evaluate import Evaluation, evaluate
+from evogymcm.algos.evaluate import Evaluation, draws_at_random, evaluate
 from evogymcm.algos.ppo import PPOConfig, PPOLearner
 from evogymcm.algos.sharing import PerDesign, by_design, stack_states
+from evogymcm.algos.threads import exploration, limited_threads
 
 __all__ = ["EnvFactory", "Trainer"]
+
+_RANDOM_STARTS = 8  # worlds of each design in an evaluation, where episodes differ
 
 
 class EnvFactory(Protocol):
@@ -48,17 +51,6 @@ class _WorldCollector(Collector):
         self._carrier = TensorDict(state_dict["carrier"], batch_size=self._carrier.batch_size)
 
 
-@contextmanager
-def limited_threads(count: int) -> Iterator[None]:
-    """Sets torch's number of threads for a while."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(count)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)
-
-
 def _copies(config: PPOConfig, env: EnvBase) -> int | None:
     """Returns the number of sets of weights, None for shared ones."""
     if config.sharing == "shared":
@@ -71,12 +63,14 @@ def _copies(config: PPOConfig, env: EnvBase) -> int | None:
 
 
 class Trainer:
-    """One training run, advanced update by update.
+    """One training run, advanced update by update; as a context manager it closes its environment at the end.
 
-    Torch's global random state is left as it was: the run keeps its own.
+    The run draws from a generator of its own, and what torch and TorchRL keep for the whole process is left as it was:
+    runs may go side by side in threads, each as if it were alone.
 
     Args:
-        make_env: makes the training environment and a fresh one for each evaluation.
+        make_env: makes the training environment and a fresh one for each evaluation. Their seeds, made from the run's,
+            differ.
         config: settings of the run.
     """
 
@@ -85,23 +79,29 @@ class Trainer:
         self.env_steps, self.eval_steps, self.seconds = 0, 0, 0.0
         self._is_fresh = True
         self.best: dict[str, Any] | None = None
-        with torch.random.fork_rng(devices=[]):
-            torch.manual_seed(config.seed)
-            env = make_env(num_worlds=config.num_worlds, seed=config.seed)
-            self.designs = env.num_designs
-            copies = _copies(config, env)
-            self.actor = make_actor(
-                env,
-                config.hidden,
-                config.initial_std,
-                network=config.network,
-                context=config.context,
-                copies=copies,
-            )
-            self.critic = make_critic(env, config.hidden, network=config.network, copies=copies)
-            self.actor.noise_correlation = config.noise_correlation
-            self.policy = self.actor if copies is None else PerDesign(self.actor, copies)
-            self.learner = PPOLearner(self.actor, self.critic, config)
+        self.generator = torch.Generator().manual_seed(config.seed)
+        # Worlds count up from a seed: those of training and evaluation, and of other runs, must not come near it.
+        seed, self._eval_seed = np.random.SeedSequence(config.seed).generate_state(2).tolist()
+        self._env = make_env(num_worlds=config.num_worlds, seed=seed)
+        try:
+            self._set_up(self._env)
+        except BaseException:
+            self._env.close(raise_if_closed=False)
+            raise
+
+    def _set_up(self, env: EnvBase) -> None:
+        """Makes the networks and what trains them."""
+        config, copies = self.config, _copies(self.config, env)
+        self.designs = env.num_designs
+        self._eval_worlds = config.eval_worlds or self.designs * (_RANDOM_STARTS if draws_at_random(env) else 1)
+        options: dict[str, Any] = {"network": config.network, "copies": copies, "generator": self.generator}
+        with limited_threads(config.torch_threads):
+            self.actor = make_actor(env, config.hidden, config.initial_std, context=config.context, **options)
+            self.critic = make_critic(env, config.hidden, **options)
+        self.actor.noise_correlation, self.actor.generator = config.noise_correlation, self.generator
+        self.policy = self.actor if copies is None else PerDesign(self.actor, copies)
+        self.learner = PPOLearner(self.actor, self.critic, config, self.generator)
+        with exploration(True):
             self.collector = _WorldCollector(
                 env,
                 self.policy,
@@ -109,15 +109,6 @@ class Trainer:
                 auto_register_policy_transforms=False,
                 track_traj_ids=False,
             )
-            self._rng_state = torch.get_rng_state()
-
-    @contextmanager
-    def _own_randomness(self) -> Iterator[None]:
-        """Runs on the run's random state and keeps it."""
-        with torch.random.fork_rng(devices=[]):
-            torch.set_rng_state(self._rng_state)
-            yield
-            self._rng_state = torch.get_rng_state()
 
     @property
     def is_finished(self) -> bool:
@@ -127,7 +118,7 @@ class Trainer:
     def update(self) -> dict[str, float]:
         """Collects one rollout, learns from it, and returns a row for the table."""
         start = time.perf_counter()
-        with self._own_randomness(), limited_threads(self.config.torch_threads):
+        with exploration(True), limited_threads(self.config.torch_threads):
             rollout = self.collector.rollout()
             is_first = self._is_fresh and not self.env_steps
             if is_first:  # a fresh policy hardly depends on its inputs: they may be rescaled under it
@@ -153,10 +144,12 @@ class Trainer:
     def evaluate(self) -> Evaluation:
         """Plays an episode in each world of a fresh environment with the present policy."""
         start = time.perf_counter()
-        env = self.make_env(num_worlds=self.config.eval_worlds or self.designs, seed=self.config.seed)
-        with limited_threads(self.config.torch_threads):
-            result = evaluate(self.policy, env)
-        env.close(raise_if_closed=False)
+        env = self.make_env(num_worlds=self._eval_worlds, seed=self._eval_seed)
+        try:
+            with limited_threads(self.config.torch_threads):
+                result = evaluate(self.policy, env)
+        finally:
+            env.close(raise_if_closed=False)
         self.eval_steps += result.env_steps
         self.seconds += time.perf_counter() - start
         return result
@@ -204,7 +197,7 @@ class Trainer:
         return {
             "learner": self.learner.state_dict(),
             "worlds": self.collector.state_dict(),
-            "rng": self._rng_state,
+            "rng": self.generator.get_state(),
             "noise": self.actor.noise,
             "env_steps": self.env_steps,
             "eval_steps": self.eval_steps,
@@ -216,10 +209,19 @@ class Trainer:
         """Restores what `state_dict` returned."""
         self.learner.load_state_dict(state["learner"])
         self.collector.load_state_dict(state["worlds"])
-        self._rng_state, self.actor.noise = state["rng"], state["noise"]
+        self.generator.set_state(state["rng"])
+        self.actor.noise = state["noise"]
         self.env_steps, self.eval_steps = state["env_steps"], state["eval_steps"]
         self.seconds, self.best = state["seconds"], state["best"]
 
     def close(self) -> None:
-        """Releases the environment."""
-        self.collector.shutdown()
+        """Closes the environment, with its threads, and hands the actor's noise over to torch's global generator."""
+        self.collector.shutdown(close_env=False)
+        self._env.close(raise_if_closed=False)  # TorchRL takes environments for closed that were never open
+        self.actor.generator = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self.close()

@@ -97,23 +97,25 @@ def train(
         start_from: a saved policy (`RunFolder.load("best")`) to start from instead of fresh weights, for fine-tuning or
             for another body. Single weights start every one of independent policies.
         logger: any of TorchRL's loggers (CSV, TensorBoard, W&B); receives every number of every row.
+
+    Raises:
+        RunInUseError: if another process or thread works in the folder `run`.
     """
-    trainer, rows = Trainer(make_env, config), []
-    if start_from is not None:
-        trainer.start_from(start_from)
-    saved = run.load(CHECKPOINT) if run else None
-    if run and saved:
-        trainer.load_state_dict(saved["trainer"])
-        run.keep_rows(saved["rows"])
-        rows = run.rows()
-        if progress:
-            progress(Progress(trainer.env_steps, config.total_steps, trainer.seconds, rows[-1]))
-    elif run:
-        run.keep_rows(0)  # of a run that was killed before its first checkpoint
-    with stop_on_interrupt() if should_stop is None else nullcontext(should_stop) as is_stopped:
-        result = _loop(trainer, rows, run, progress, is_stopped, logger)
-    trainer.close()
-    return result
+    with run.lock() if run else nullcontext(), Trainer(make_env, config) as trainer:
+        if start_from is not None:
+            trainer.start_from(start_from)
+        rows: list[dict[str, Any]] = []
+        saved = run.load(CHECKPOINT) if run else None
+        if run and saved:
+            trainer.load_state_dict(saved["trainer"])
+            run.keep_rows(saved["rows"])
+            rows = run.rows()
+            if progress:
+                progress(Progress(trainer.env_steps, config.total_steps, trainer.seconds, rows[-1]))
+        elif run:
+            run.keep_rows(0)  # of a run that was killed before its first checkpoint
+        with stop_on_interrupt() if should_stop is None else nullcontext(should_stop) as is_stopped:
+            return _loop(trainer, rows, run, progress, is_stopped, logger)
 
 
 def _loop(

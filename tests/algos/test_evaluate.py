@@ -49,6 +49,8 @@ def test_score_leaves_out_the_last_step():
     assert len(set(length.tolist())) > 1
     assert result.returns[1] > 1.6  # the bonus is in the return
     assert result.score[1] <= 0.6  # and not in the score
+    np.testing.assert_array_equal(result.goal, length < 60)
+    assert result.summary()["goal_rate"] == result.goal.mean() > 0
 
 
 def test_fraction_and_summary():
@@ -69,6 +71,22 @@ def test_a_task_without_a_ceiling_has_no_fraction():
     result = evaluate(_Wave(), ToyEnv(Open(), num_worlds=2))
     assert np.isnan(result.ceiling).all()
     assert "fraction_of_ceiling" not in result.summary()
+
+
+class _Trap(ToyEnv):
+    """What looks like a goal is none: the episode ends there, with a bonus."""
+
+    def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
+        step = super()._step(tensordict)
+        self.reached = np.zeros_like(self.reached)
+        return step.set("reached", torch.zeros_like(step["reached"]))
+
+
+def test_what_ended_an_episode_tells_a_goal_not_the_last_reward():
+    result = evaluate(_Wave(), _Trap(ToyTask(goal_x=0.6, time_limit=60), num_worlds=2))
+    assert result.length[1] < 60
+    assert result.returns[1] > result.score[1]
+    assert not result.goal.any()
 
 
 def test_evaluation_is_deterministic_and_draws_nothing():

@@ -1,6 +1,8 @@
 """Independent runs on executors."""
 
-from concurrent.futures import Executor, Future, ProcessPoolExecutor
+import functools
+import time
+from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
 from dataclasses import replace
 from multiprocessing import get_context
 
@@ -9,11 +11,13 @@ import pytest
 from evogymcm.algos import BodyPPOConfig
 from evogymcm.algos.codesign import CodesignConfig, codesign
 from evogymcm.algos.parallel import RayExecutor, codesign_all
+from tests.algos.test_codesign import TINY as DASHING
 
 # On a task of the package, which workers know without this file.
 PPO = BodyPPOConfig(total_steps=128, num_worlds=8, rollout_steps=16, epochs=1, minibatch=64, hidden=8, eval_interval=0)
 TINY = CodesignConfig("Thrower-v0", shape=(2, 3), population=3, budget=3, ppo=PPO)
 CONFIGS = {f"seed{seed}": replace(TINY, seed=seed) for seed in range(2)}
+SHORT = {name: replace(config, task=DASHING.task) for name, config in CONFIGS.items()}  # of this process
 
 
 class Here(Executor):
@@ -28,17 +32,23 @@ class Here(Executor):
         return future
 
 
-def check(executor, tmp_path):
-    expected = {name: codesign(config).rows for name, config in CONFIGS.items()}
-    results = dict(codesign_all(CONFIGS, tmp_path, executor))
+@functools.cache
+def alone(seed, task):
+    return codesign(replace(TINY, seed=seed, task=task)).rows
+
+
+def check(executor, tmp_path, configs=CONFIGS):
+    results = dict(codesign_all(configs, tmp_path, executor))
+    expected = {name: alone(config.seed, config.task) for name, config in configs.items()}
     assert {name: result.rows for name, result in results.items()} == expected
     assert expected["seed0"] != expected["seed1"]
 
 
-def test_runs_are_those_of_one_after_another(tmp_path):
-    check(Here(), tmp_path)
+def test_runs_in_threads_are_those_of_one_after_another(tmp_path):
+    with ThreadPoolExecutor(2) as executor:
+        check(executor, tmp_path, SHORT)
     assert (tmp_path / "seed1" / "config.json").is_file()
-    again = dict(codesign_all(CONFIGS, tmp_path, Here()))  # finished runs are only read
+    again = dict(codesign_all(SHORT, tmp_path, Here()))  # finished runs are only read
     assert all(result.finished for result in again.values())
 
 
@@ -46,7 +56,7 @@ def test_a_failed_run_is_raised(tmp_path):
     (tmp_path / "seed0").mkdir()
     (tmp_path / "seed0" / "something").touch()
     with pytest.raises(FileExistsError, match="not a run folder"):
-        dict(codesign_all(CONFIGS, tmp_path, Here()))
+        dict(codesign_all(SHORT, tmp_path, Here()))
 
 
 @pytest.mark.slow
@@ -56,17 +66,41 @@ def test_processes(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_dask_cluster(tmp_path):
+def test_threads_of_a_dask_worker(tmp_path):
     distributed = pytest.importorskip("distributed")
     with (
-        distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster,
+        distributed.LocalCluster(n_workers=1, threads_per_worker=2, dashboard_address=None) as cluster,
         distributed.Client(cluster) as client,
     ):
-        check(client.get_executor(), tmp_path)
+        check(client.get_executor(pure=False), tmp_path)
 
 
 @pytest.mark.slow
 def test_a_ray_cluster(tmp_path):
-    pytest.importorskip("ray")
+    ray = pytest.importorskip("ray")
     with RayExecutor(num_cpus=2, include_dashboard=False) as executor:
         check(executor, tmp_path)
+        last = executor.submit(pow, 2, 10)
+    assert last.done()  # shutting down waits
+    assert last.result() == 1024
+    assert not ray.is_initialized()
+    with pytest.raises(RuntimeError, match="shut down"):
+        executor.submit(pow, 2, 10)
+
+
+@pytest.mark.slow
+def test_a_ray_session_outlives_the_executors_that_use_it():
+    ray = pytest.importorskip("ray")
+    ray.init(num_cpus=1, include_dashboard=False)
+    try:
+        for _ in range(2):
+            with RayExecutor(address="auto") as executor:
+                future = executor.submit(sorted, [2, 1])
+            assert future.result() == [1, 2]
+            assert ray.is_initialized()
+        with RayExecutor() as executor:
+            calls = [executor.submit(time.sleep, 600.0) for _ in range(2)]  # one is under way, one has to wait
+            executor.shutdown(cancel_futures=True)
+            assert all(isinstance(call.exception(), ray.exceptions.TaskCancelledError) for call in calls)
+    finally:
+        ray.shutdown()

@@ -13,7 +13,7 @@ import pytest
 import torch
 
 import evogymcm as cm
-from evogymcm.algos import PPOConfig, RunFolder, evaluate, make_actor, train
+from evogymcm.algos import PPOConfig, RunFolder, Trainer, evaluate, make_actor, train
 from evogymcm.envs import SoftRobotEnv
 
 TINY = PPOConfig(
@@ -52,6 +52,31 @@ def test_tasks_with_and_without_a_ceiling(task):
     env = SoftRobotEnv(task, bodies=robot, material="invariant", num_threads=1)
     result = evaluate(make_actor(env), env)
     assert ("fraction_of_ceiling" in result.summary()) == (task == "CaveCrawler-v0")
+
+
+def test_evaluations_of_random_tasks_have_several_worlds_with_draws_of_their_own():
+    task, given, draws = replace(cm.tasks["BidirectionalWalker-v0"], time_limit=3), [], []
+
+    def make(*, num_worlds, seed):
+        env = SoftRobotEnv(task, ["HH/HH", "HHH"], num_worlds, material="reactive", seed=seed, num_threads=1)
+        env.reset()
+        given.append((num_worlds, seed))
+        draws.append({row.tobytes() for row in env.engine.memory["goals"]})
+        return env
+
+    with Trainer(make, TINY) as trainer:
+        result = trainer.evaluate()
+        trainer.evaluate()
+        assert [worlds for worlds, _ in given] == [16, 16, 16]
+        assert result.env_steps == 16 * 3
+        assert trainer.eval_steps == 2 * result.env_steps
+    with Trainer(make, replace(TINY, seed=1, eval_worlds=4)) as trainer:
+        assert trainer.evaluate().env_steps == 4 * 3
+    training, evaluation, again, other_training, other_evaluation = draws
+    assert len(evaluation) == 16
+    assert evaluation == again
+    assert not evaluation & training
+    assert not (training | evaluation) & (other_training | other_evaluation)
 
 
 @pytest.mark.slow

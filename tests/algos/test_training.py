@@ -9,7 +9,7 @@ from dataclasses import asdict, replace
 import pytest
 import torch
 
-from evogymcm.algos import PPOConfig, RunFolder, Trainer, evaluate, make_actor, train
+from evogymcm.algos import PPOConfig, RunFolder, Trainer, evaluate, load_actor, make_actor, train
 from tests.algos.toy_env import SMALL, WIDE, ToyEnv
 
 TINY = PPOConfig(total_steps=960, num_worlds=8, rollout_steps=20, epochs=2, minibatch=40, hidden=16, eval_interval=400)
@@ -46,10 +46,11 @@ def test_several_bodies_learn_in_one_batch():
 @pytest.mark.parametrize("material", ["reactive", "invariant"])
 def test_same_seed_same_policy(material):
     make = functools.partial(make_toy, material=material, noise=0.1)
-    first, second = train(make, TINY), train(make, TINY)
+    config = replace(TINY, total_steps=480)
+    first, second = train(make, config), train(make, config)
     assert _same(_weights(first), _weights(second))
     assert first.rows[-1]["score"] == second.rows[-1]["score"]
-    assert not _same(_weights(first), _weights(train(make, replace(TINY, seed=1))))
+    assert not _same(_weights(first), _weights(train(make, replace(config, seed=1))))
 
 
 def test_global_state_is_left_alone():
@@ -57,9 +58,18 @@ def test_global_state_is_left_alone():
     expected = torch.rand(3)
     torch.manual_seed(5)
     threads = torch.get_num_threads()
-    train(make_toy, TINY)
+    load_actor(train(make_toy, TINY).best)
     assert torch.equal(torch.rand(3), expected)
     assert torch.get_num_threads() == threads
+
+
+def test_the_policy_of_a_run_that_is_over_draws_as_torch_is_seeded():
+    actor, state, actions = train(make_toy, replace(TINY, total_steps=160)).actor, make_toy().reset(), []
+    for seed in (0, 0, 1):
+        torch.manual_seed(seed)
+        actions.append(actor(state.clone())["action", "actuation"])
+    assert torch.equal(actions[0], actions[1])
+    assert not torch.equal(actions[0], actions[2])
 
 
 def test_rows_and_progress_tell_the_whole_run():
@@ -106,6 +116,37 @@ def test_a_killed_run_goes_on_from_its_last_checkpoint(tmp_path):
     assert [row["env_steps"] for row in resumed.rows] == [row["env_steps"] for row in whole.rows]
 
 
+def test_every_environment_is_closed_after_a_failure_too():
+    made, closed = [], []
+
+    class Broken(ToyEnv):
+        def __init__(self, *args, fails_at=10**9, **kwargs):
+            super().__init__(*args, **kwargs)
+            self.fails_at = fails_at
+            made.append(self)
+
+        def close(self, **kwargs):
+            closed.append(self)
+            super().close(**kwargs)
+
+        def _step(self, tensordict):
+            if self.steps.max() > self.fails_at:
+                raise RuntimeError("blew up")
+            return super()._step(tensordict)
+
+    def crash(progress):
+        raise RuntimeError("power cut")
+
+    with pytest.raises(RuntimeError, match="power cut"):
+        train(Broken, TINY, progress=crash)  # after an evaluation
+    with pytest.raises(RuntimeError, match="blew up"):
+        train(functools.partial(Broken, fails_at=30), TINY)  # within one
+    with pytest.raises(ValueError, match="flat observation"):
+        train(functools.partial(Broken, bodies=[SMALL, WIDE]), replace(TINY, network="mlp"))
+    assert {*map(id, made)} == {*map(id, closed)}
+    assert len(made) == 5
+
+
 def test_ctrl_c_ends_after_the_update_with_a_checkpoint(tmp_path):
     def press(progress):
         if progress.env_steps == 320:
@@ -118,14 +159,19 @@ def test_ctrl_c_ends_after_the_update_with_a_checkpoint(tmp_path):
 
 
 def test_run_folder_holds_policies_that_load(tmp_path):
-    run = RunFolder(tmp_path / "run", asdict(TINY))
-    result = train(make_toy, TINY, run=run)
+    run, seeds = RunFolder(tmp_path / "run", asdict(TINY)), []
+
+    def make(*, num_worlds, seed):
+        seeds.append(seed)
+        return make_toy(num_worlds=num_worlds, seed=seed)
+
+    result = train(make, TINY, run=run)
     actor = make_actor(make_toy(num_worlds=1), TINY.hidden)
     actor.load_state_dict(run.load("final")["actor"])
-    assert evaluate(actor, make_toy(num_worlds=1)).score[0] == result.final.score[0]
+    assert evaluate(actor, make_toy(num_worlds=1, seed=seeds[-1])).score[0] == result.final.score[0]
     best = run.load("best")
     actor.load_state_dict(best["actor"])
-    assert evaluate(actor, make_toy(num_worlds=1)).score[0] == best["row"]["score"] == result.best_score
+    assert evaluate(actor, make_toy(num_worlds=1, seed=seeds[-1])).score[0] == best["row"]["score"] == result.best_score
     assert run.rows() == json.loads(json.dumps(result.rows))
     again = train(make_toy, TINY, run=RunFolder(tmp_path / "run", asdict(TINY), resume=True))
     assert again.env_steps == result.env_steps

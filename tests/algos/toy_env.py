@@ -64,6 +64,7 @@ class ToyEnv(EnvBase):
         n, v = self.types.shape
         self.x, self.speed = np.zeros(n), np.zeros(n)
         self.score, self.ret, self.steps = np.zeros(n), np.zeros(n), np.zeros(n, dtype=np.int64)
+        self.reached = np.zeros(n, dtype=bool)
         self.acted, self.stiff = np.ones((n, v)), np.ones((n, v))
         self._make_specs(n, v)
         self.set_seed(seed)
@@ -80,6 +81,7 @@ class ToyEnv(EnvBase):
             actuators=flag(v),
             score=Unbounded((n, 1), dtype=torch.float64),
             unstable=flag(1),
+            reached=flag(1),
             com=Unbounded((n, 2), dtype=torch.float64),
             shape=[n],
         )
@@ -139,6 +141,7 @@ class ToyEnv(EnvBase):
             "com": com,
         }
         arrays |= {"actuators": self.actuators.copy(), "unstable": np.zeros((n, 1), dtype=bool)}
+        arrays["reached"] = self.reached[:, None].copy()
         arrays |= {"score": self.score[:, None].copy(), "return": self.ret[:, None].copy()}
         return {name: torch.from_numpy(array) for name, array in arrays.items()}
 
@@ -147,8 +150,8 @@ class ToyEnv(EnvBase):
         if tensordict is not None and "_reset" in tensordict.keys():
             mask = tensordict["_reset"].reshape(-1).numpy()
         self.x[mask] = self.noise * self.rng.standard_normal(int(mask.sum()))
-        for array, value in ((self.speed, 0), (self.score, 0), (self.ret, 0), (self.steps, 0)):
-            array[mask] = value
+        for array in (self.speed, self.score, self.ret, self.steps, self.reached):
+            array[mask] = 0
         self.acted[mask], self.stiff[mask] = 1, 1
         return TensorDict(self._observation(), batch_size=self.batch_size)
 
@@ -162,7 +165,7 @@ class ToyEnv(EnvBase):
         self.speed = 0.03 * (0.25 - error) / 0.25 + 0.01 * (bounce - 1)
         self.x += self.speed
         self.steps += 1
-        goal = self.x > self.task.goal_x
+        goal = self.reached = self.x > self.task.goal_x
         reward = self.speed + self.task.goal_bonus * goal
         truncated = self.steps >= self.task.time_limit
         self.ret += reward
@@ -174,7 +177,7 @@ class ToyEnv(EnvBase):
 
     def get_extra_state(self) -> dict[str, Any]:
         """All that changes, so that `state_dict` restores an env exactly."""
-        names = ("x", "speed", "score", "ret", "steps", "acted", "stiff")
+        names = ("x", "speed", "score", "ret", "steps", "reached", "acted", "stiff")
         state = {name: torch.from_numpy(getattr(self, name).copy()) for name in names}
         return state | {"rng": self.rng.bit_generator.state}
 

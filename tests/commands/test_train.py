@@ -124,6 +124,18 @@ def test_tensorboard_logger_writes_into_the_run(sprint, tmp_path):
     assert list((tmp_path / "run" / "tensorboard").glob("events*"))
 
 
+@pytest.mark.slow
+def test_wandb_logger_writes_into_the_run_without_a_network(sprint, tmp_path, monkeypatch):
+    wandb = pytest.importorskip("wandb")
+    monkeypatch.setenv("WANDB_MODE", "offline")
+    main(["train", sprint, "--body", BODY, *TINY, "--run", "run", "--logger", "wandb"])
+    assert wandb.run.name == "run"
+    assert wandb.run.summary["env_steps"] == 64
+    assert "score" in wandb.run.summary.keys()
+    wandb.finish()
+    assert list((tmp_path / "run" / "wandb").glob("offline-run-*/run-*.wandb"))
+
+
 @pytest.mark.parametrize("sharing", ["shared", "independent"])
 def test_several_bodies_with_fields_of_their_own(sprint, sharing, capsys):
     fields = ["2", "0.5,0.5,0.5/1,1,1.5"]
