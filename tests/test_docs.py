@@ -11,10 +11,10 @@ from importlib.metadata import entry_points
 from itertools import pairwise
 from pathlib import Path
 
-import gymnasium
 import pytest
 
 from evogymcm.envs import tasks as task_package
+from tests.registries import own_registries
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = {path.stem: path.read_text(encoding="utf-8") for path in sorted((ROOT / "docs").glob("*.md"))}
@@ -54,15 +54,11 @@ def blocks_of(page):
 WITH_CODE = [page for page in PAGES if list(blocks_of(page))]
 
 
-@pytest.fixture
-def own_registries():
+@pytest.fixture(name="own_registries")
+def _own_registries():
     """Lets a page register tasks without the other tests seeing them."""
-    before, before_gymnasium = dict(task_package._REGISTRY), dict(gymnasium.registry)
-    yield
-    task_package._REGISTRY.clear()
-    task_package._REGISTRY.update(before)
-    gymnasium.registry.clear()
-    gymnasium.registry.update(before_gymnasium)
+    with own_registries():
+        yield
 
 
 @pytest.mark.usefixtures("own_registries")

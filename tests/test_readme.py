@@ -5,11 +5,10 @@ import subprocess
 import sys
 from pathlib import Path
 
-import gymnasium
 import pytest
 
 from evogymcm.commands.tasks import ABOUT
-from evogymcm.envs import tasks as task_package
+from tests.registries import own_registries
 
 ROOT = Path(__file__).resolve().parents[1]
 TEXT = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -17,15 +16,11 @@ BLOCKS = re.findall(r"```python\n(.*?)```", TEXT, re.DOTALL)
 EXAMPLES = {path.name: path.read_text(encoding="utf-8") for path in (ROOT / "examples").glob("*.py")}
 
 
-@pytest.fixture
-def own_registries():
+@pytest.fixture(name="own_registries")
+def _own_registries():
     """Lets a block register tasks without the other tests seeing them."""
-    before, before_gymnasium = dict(task_package._REGISTRY), dict(gymnasium.registry)
-    yield
-    task_package._REGISTRY.clear()
-    task_package._REGISTRY.update(before)
-    gymnasium.registry.clear()
-    gymnasium.registry.update(before_gymnasium)
+    with own_registries():
+        yield
 
 
 @pytest.mark.usefixtures("own_registries")

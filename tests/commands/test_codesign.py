@@ -41,8 +41,12 @@ def test_a_run_from_end_to_end(sprint, arm, capsys, tmp_path):
     assert ("1.50" in out.split("stiffness:")[1]) == (arm == "prescribed")
     assert f"best={best['fitness']:.3f}" in err
     pytest.importorskip("matplotlib")
-    main(["watch", sprint, "--policy", str(run), "--width", "64", "--height", "32", "--out", "best.png"])
-    assert f"{best['body']}: 12 env-steps, score {best['fitness']:.3f}" in capsys.readouterr().out
+    rows = [json.loads(line) for line in (run / "curve.jsonl").read_text().splitlines()]
+    latest = {f"policy-{row['index']:04}.pt": row for row in rows}
+    assert len(latest) == 4
+    for name, row in [("", best), ("codesign.pt", best), *latest.items()]:  # each on its own body, with its stiffness
+        main(["watch", "--policy", str(run / name), "--width", "64", "--height", "32", "--out", "one.png"])
+        assert capsys.readouterr().out.splitlines()[-1] == f"{row['body']}: 12 env-steps, score {row['fitness']:.3f}"
 
 
 def test_a_stopped_run_goes_on_to_the_same_result(sprint, capsys, monkeypatch, tmp_path):
