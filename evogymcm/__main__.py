@@ -21,7 +21,7 @@ _BROKEN_PIPE = 141  # exit status, as shells have it
 _EXAMPLES = """examples:
   evogymcm tasks
   evogymcm train Walker-v0 --body Walk_Bot --run runs/first
-  evogymcm watch Walker-v0 --policy runs/first
+  evogymcm watch --policy runs/first
   evogymcm codesign BridgeWalker-v0 --arm invariant
   evogymcm COMMAND --help    # all options of a command
   evogymcm --print-completion bash > ~/.local/share/bash-completion/completions/evogymcm"""
