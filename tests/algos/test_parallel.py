@@ -9,6 +9,7 @@ import pytest
 from evogymcm.algos import PPOConfig
 from evogymcm.algos.codesign import CodesignConfig, codesign
 from evogymcm.algos.parallel import RayExecutor, codesign_all
+from evogymcm.envs import tasks
 
 # On a task of the package, which workers know without this file.
 PPO = PPOConfig(
@@ -38,6 +39,12 @@ def check(executor, tmp_path):
     assert expected["seed0"] != expected["seed1"]
 
 
+@pytest.fixture
+def short_episodes(monkeypatch):
+    monkeypatch.setitem(tasks._REGISTRY, "Thrower-v0", replace(tasks.as_task("Thrower-v0"), time_limit=20))
+
+
+@pytest.mark.usefixtures("short_episodes")
 def test_runs_are_those_of_one_after_another(tmp_path):
     check(Here(), tmp_path)
     assert (tmp_path / "seed1" / "config.json").is_file()
@@ -45,6 +52,7 @@ def test_runs_are_those_of_one_after_another(tmp_path):
     assert all(result.finished for result in again.values())
 
 
+@pytest.mark.usefixtures("short_episodes")
 def test_a_failed_run_is_raised(tmp_path):
     (tmp_path / "seed0").mkdir()
     (tmp_path / "seed0" / "something").touch()

@@ -35,7 +35,6 @@ def test_a_run_from_end_to_end(sprint, capsys, tmp_path):
     assert config["ppo"]["total_steps"] == 64
 
     env = SoftRobotEnv(sprint, BODY, 1, material="reactive", num_threads=1)
-    torch.set_num_threads(1)
     alone = evaluate(load_actor(RunFolder(run, config, resume=True).load("final")), env)
     assert number(out, "score") == pytest.approx(alone.score[0], abs=6e-4)
     assert f"of at most {alone.ceiling[0]:.2f}" in out

@@ -7,7 +7,6 @@ from itertools import product
 
 import numpy as np
 import pytest
-import torch
 
 from evogymcm.algos import PPOConfig, RunFolder, train
 from evogymcm.algos.codesign import CodesignConfig, SearchConfig, codesign
@@ -16,7 +15,7 @@ from tests.registries import registered
 
 PPO = PPOConfig(total_steps=64, num_worlds=4, rollout_steps=8, epochs=1, minibatch=16, hidden=8, eval_interval=32)
 TINY = CodesignConfig(
-    task="Dart-v0", shape=(2, 3), population=3, budget=6, finetune_steps=32, search=SearchConfig(rounds=3),
+    task="Dart-v0", shape=(2, 3), population=4, budget=6, finetune_steps=32, search=SearchConfig(rounds=3),
     ppo=replace(PPO, sharing="independent"),
 )  # fmt: skip
 BODY = "HVH/S.R"
@@ -30,7 +29,7 @@ class Dart(Task):
         return after.x - before.x
 
 
-DART = Dart("Dart-v0", world="Walker-v0", spawn=(1, 1), time_limit=20, observes=("velocity", "orientation", "relative"))
+DART = Dart("Dart-v0", world="Walker-v0", spawn=(1, 1), time_limit=8, observes=("velocity", "orientation", "relative"))
 
 
 @pytest.fixture(autouse=True, scope="module")
@@ -38,14 +37,6 @@ def _dart():
     """The task of the runs, which the fixtures of the whole session register for themselves."""
     with registered(DART):
         yield
-
-
-@pytest.fixture(autouse=True, scope="session")
-def _one_thread():
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(before)
 
 
 @pytest.fixture(scope="session")

@@ -69,7 +69,7 @@ def test_real_runs_side_by_side(training, evolved, signals):
     ]  # fmt: skip
     text = text_of(page)
     assert "Not recorded with these runs: hardware, processes, versions, commit." in text
-    assert "64 env-steps for each body, at most 6 bodies in generations of 3" in text
+    assert "64 env-steps for each body, at most 6 bodies in generations of 4" in text
     gifs = [base64.b64decode(found) for found in GIF.findall(page)]
     assert len(gifs) == 4
     assert all(gif.startswith(b"GIF8") and len(gif) <= 400_000 for gif in gifs)
