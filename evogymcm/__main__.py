@@ -11,6 +11,7 @@ from typing import Any
 from evogymcm import __version__
 from evogymcm.commands import codesign, report, tasks, train, warmup, watch
 from evogymcm.commands._completion import SHELLS, print_completion
+from evogymcm.commands._errors import UsageError
 from evogymcm.commands._options import INTERRUPTED
 
 _COMMANDS: MappingProxyType[str, ModuleType] = MappingProxyType(
@@ -20,7 +21,7 @@ _BROKEN_PIPE = 141  # exit status, as shells have it
 _EXAMPLES = """examples:
   evogymcm tasks
   evogymcm train Walker-v0 --body Walk_Bot --run runs/first
-  evogymcm watch Walker-v0 --policy runs/first
+  evogymcm watch --policy runs/first
   evogymcm codesign BridgeWalker-v0 --arm invariant
   evogymcm COMMAND --help    # all options of a command
   evogymcm --print-completion bash > ~/.local/share/bash-completion/completions/evogymcm"""
@@ -58,7 +59,10 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Runs a command, and returns its exit status: 2 for arguments that can't be used, 130 after Ctrl-C."""
+    """Runs a command, and returns its exit status: 2 for arguments that can't be used, 130 after Ctrl-C.
+
+    What goes wrong later than that is raised, with its traceback.
+    """
     parser = _parser()
     parsed, rest = parser.parse_known_args(arguments)
     if rest and not getattr(parsed, "takes_rest", False):
@@ -69,7 +73,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         status = int(parsed.run(parsed) or 0)
         sys.stdout.flush()
         return status
-    except (ValueError, ImportError) as error:
+    except UsageError as error:
         parser.exit(2, f"evogymcm: {error}\n")
     except BrokenPipeError:  # `evogymcm tasks | head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # nothing more can be said there

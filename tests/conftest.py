@@ -2,5 +2,7 @@
 
 import os
 
-# Idle OpenMP threads of torch otherwise spin, which slows the simulator's own threads down.
+# One torch thread, here and in the processes that tests start: more only fight over the cores. Where a test asks for
+# more, idle ones otherwise spin, which slows the simulator's own threads down.
+os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")

@@ -10,9 +10,9 @@ import pytest
 
 import evogymcm as cm
 from evogymcm.envs.core import TaskEngine
-from evogymcm.envs.tasks import _REGISTRY
 from evogymcm.envs.tasks.walking import Walking
 from evogymcm.sim.constants import Physics
+from tests.registries import own_registries
 
 ROOT = Path(__file__).resolve().parents[1]
 EXAMPLE = ROOT / "examples" / "custom_task.py"
@@ -23,9 +23,9 @@ def example():
     spec = importlib.util.spec_from_file_location("custom_task", EXAMPLE)
     module = importlib.util.module_from_spec(spec)
     sys.modules["custom_task"] = module  # dataclasses look their module up
-    spec.loader.exec_module(module)
-    yield module
-    del _REGISTRY["Ascent-v0"], gymnasium.registry["evogymcm/Ascent-v0"]  # other tests walk the registries
+    with own_registries():
+        spec.loader.exec_module(module)
+        yield module
 
 
 def test_page_shows_the_example():

@@ -11,10 +11,10 @@ from importlib.metadata import entry_points
 from itertools import pairwise
 from pathlib import Path
 
-import gymnasium
 import pytest
 
 from evogymcm.envs import tasks as task_package
+from tests.registries import own_registries
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = {path.stem: path.read_text(encoding="utf-8") for path in sorted((ROOT / "docs").glob("*.md"))}
@@ -29,7 +29,7 @@ SMALLER = {  # budgets of the pages, and those of the tests
     "total_steps=500_000, num_worlds=64": "total_steps=64, num_worlds=16, rollout_steps=4",
     "total_timesteps=100_000": "total_timesteps=512",
 }
-SHORT = {"codesign", "learning"}  # pages that play many whole episodes; here they are 25 env-steps long
+WHOLE = {"tasks"}  # pages that show how long an episode is; on the others those of Walker-v0 are 25 env-steps long
 
 NOT_SHOWN = {
     "population_env",  # PopulationEnv
@@ -54,15 +54,11 @@ def blocks_of(page):
 WITH_CODE = [page for page in PAGES if list(blocks_of(page))]
 
 
-@pytest.fixture
-def own_registries():
+@pytest.fixture(name="own_registries")
+def _own_registries():
     """Lets a page register tasks without the other tests seeing them."""
-    before, before_gymnasium = dict(task_package._REGISTRY), dict(gymnasium.registry)
-    yield
-    task_package._REGISTRY.clear()
-    task_package._REGISTRY.update(before)
-    gymnasium.registry.clear()
-    gymnasium.registry.update(before_gymnasium)
+    with own_registries():
+        yield
 
 
 @pytest.mark.usefixtures("own_registries")
@@ -73,7 +69,7 @@ def test_code_runs_and_prints_what_is_shown(page, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     module = types.ModuleType("page")  # dataclasses look their module up
     monkeypatch.setitem(sys.modules, "page", module)
-    if page in SHORT:
+    if page not in WHOLE:
         task_package._REGISTRY["Walker-v0"] = replace(task_package.tasks["Walker-v0"], time_limit=25)
     for number, (code, shown) in enumerate(blocks_of(page)):
         for large, small in SMALLER.items():

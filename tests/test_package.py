@@ -135,14 +135,9 @@ def extra_modules():
     }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
-    "code",
-    [
-        pytest.param(IMPORT_ALL, id="import"),
-        pytest.param(QUICK_START, id="gymnasium"),
-        pytest.param(LEARN, id="learn", marks=pytest.mark.slow),
-        pytest.param(RENDER, id="render"),
-    ],
+    "code", [pytest.param(QUICK_START + RENDER + IMPORT_ALL, id="import"), pytest.param(LEARN, id="learn")]
 )
 def test_extras_are_optional(code, tmp_path):
     blocked = extra_modules()

@@ -5,11 +5,10 @@ import subprocess
 import sys
 from pathlib import Path
 
-import gymnasium
 import pytest
 
 from evogymcm.commands.tasks import ABOUT
-from evogymcm.envs import tasks as task_package
+from tests.registries import own_registries
 
 ROOT = Path(__file__).resolve().parents[1]
 TEXT = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -17,15 +16,11 @@ BLOCKS = re.findall(r"```python\n(.*?)```", TEXT, re.DOTALL)
 EXAMPLES = {path.name: path.read_text(encoding="utf-8") for path in (ROOT / "examples").glob("*.py")}
 
 
-@pytest.fixture
-def own_registries():
+@pytest.fixture(name="own_registries")
+def _own_registries():
     """Lets a block register tasks without the other tests seeing them."""
-    before, before_gymnasium = dict(task_package._REGISTRY), dict(gymnasium.registry)
-    yield
-    task_package._REGISTRY.clear()
-    task_package._REGISTRY.update(before)
-    gymnasium.registry.clear()
-    gymnasium.registry.update(before_gymnasium)
+    with own_registries():
+        yield
 
 
 @pytest.mark.usefixtures("own_registries")
@@ -56,11 +51,12 @@ def run(*arguments):
 
 
 def test_table_is_the_registrys():
-    table = run("docs/task_table.py").strip()
+    both = "import runpy, evogymcm; runpy.run_path('docs/task_table.py', run_name='__main__'); print(*evogymcm.tasks)"
+    table, _, ids = run("-c", both).strip().rpartition("\n")
     for path in (ROOT / "README.md", ROOT / "docs" / "tasks.md"):
         shown = re.search(r"<!-- tasks: .*? -->(.*?)<!-- end of tasks -->", path.read_text(encoding="utf-8"), re.DOTALL)
         assert shown[1].strip() == table, "run: python docs/task_table.py --write"
-    assert set(ABOUT) == set(run("-c", "import evogymcm; print(*evogymcm.tasks)").split())
+    assert set(ABOUT) == set(ids.split())
 
 
 def test_world_picture_is_the_packages():

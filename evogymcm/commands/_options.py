@@ -114,12 +114,17 @@ def open_run(path: Path, config: dict[str, Any], *, resume: bool, overwrite: boo
     """Opens a run's folder.
 
     Raises:
-        ValueError: It exists and neither flag is given, both are, or the settings are not those of the run to resume.
+        ValueError: It exists and neither flag is given, both are, the settings are not those of the run to resume, or
+            another process is at work in it.
     """
-    from evogymcm.algos.runs import RunFolder
+    from evogymcm.algos.runs import RunFolder, RunInUseError
 
     try:
-        return RunFolder(path, config, resume=resume, overwrite=overwrite)
+        folder = RunFolder(path, config, resume=resume, overwrite=overwrite)
+        with folder.lock():  # taken again for the work itself; told here, it is one line
+            return folder
+    except RunInUseError as error:
+        raise ValueError(f"run: {error}; wait, or choose another folder (--run)") from None
     except FileExistsError as error:
         if not (path / "config.json").is_file():
             raise ValueError(f"run: {error}; choose another folder (--run)") from None

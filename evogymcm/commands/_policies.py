@@ -1,14 +1,18 @@
 """Trained policies as they lie in run folders, with what they were trained on."""
 
-import json
+import pickle
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from evogymcm.report.runs import NOT_RECORDED, CodesignRun, TrainingRun, read_run
+
 if TYPE_CHECKING:  # numba and torch are loaded when a command runs, not for its help
     import numpy as np
 
+    from evogymcm.algos.designs import Design
     from evogymcm.body import Body
     from evogymcm.envs.core import TaskEngine
 
@@ -22,6 +26,7 @@ class Trained:
     Attributes:
         policy: the mapping that the run has saved.
         material: the setting that it was trained in.
+        task: on which it was trained; None where the run does not say.
         bodies: that it was trained on; None where the run does not say.
         stiffness: a field for each of the bodies, or None for 1 everywhere.
         edge_rule: how stiffness acted on shared edges.
@@ -29,42 +34,68 @@ class Trained:
 
     policy: Mapping[str, Any]
     material: str
+    task: str | None
     bodies: "list[str | Body] | None"
     stiffness: "list[np.ndarray] | None"
     edge_rule: str
 
 
 def load_trained(path: Path) -> Trained:
-    """Returns the last policy of a training run, the best design's of a co-design run, or that of one file.
+    """Returns the last policy of a training run, the best design's of a co-design run, or that of one of their files.
 
     Raises:
-        ValueError: There is no policy.
+        ValueError: There is no policy, or the run's files cannot be read.
     """
     import numpy as np
-    import torch
 
     names = ("final.pt", "best.pt", "codesign.pt")
     found = next((file for file in (*(path / name for name in names), path) if file.is_file()), None)
     if found is None:
         raise ValueError(f"policy: {path} has none of {', '.join(names)}")
-    saved = torch.load(found, weights_only=True)
-    settings = found.parent / "config.json"
-    config = json.loads(settings.read_text(encoding="utf-8")) if settings.is_file() else {}
-    edge_rule = config.get("edge_rule") or "mean_factor"
+    saved, run = _load(found), read_run(found.parent)
+    config: Mapping[str, Any] = {} if run is None else run.config
+    design = None
+    if found.name == "codesign.pt":
+        if saved.get("champion") is None:
+            raise ValueError(f"policy: {path} has no trained design yet")
+        design, saved = _design(saved["champion"]["individual"], config), saved["champion"]["policy"]
+    elif isinstance(run, CodesignRun) and (number := re.fullmatch(r"policy-(\d+)\.pt", found.name)):
+        design = _design(run.individuals[int(number[1])], config)
+    if "form" not in saved:
+        raise ValueError(f"policy: {found} holds no policy")
     bodies: list[str | Body] | None = None
     stiffness = None
-    if found.name == "codesign.pt":
-        from evogymcm.algos.designs import Design
-
-        if saved["champion"] is None:
-            raise ValueError(f"policy: {path} has no trained design yet")
-        design = Design.from_record(saved["champion"]["individual"]).in_arm(config["arm"], config["prescribed"])
-        bodies, stiffness, saved = [design.body], [np.array(design.field)], saved["champion"]["policy"]
-    elif found.parent == path and isinstance(config.get("bodies"), list):
-        bodies = config["bodies"]
+    if design is not None:
+        bodies, stiffness = [design.body], [np.array(design.field)]
+    elif isinstance(run, TrainingRun):
+        bodies = config.get("bodies") or ([run.body] if run.body else None)
         stiffness = None if config.get("stiffness") is None else [np.array(field) for field in config["stiffness"]]
-    material = "reactive" if "stiffness" in saved["form"]["ranges"] else "invariant"
-    return Trained(saved, material, bodies, stiffness if material == "invariant" else None, edge_rule)
+    is_reactive = "stiffness" in saved["form"]["ranges"]
+    return Trained(
+        saved,
+        material="reactive" if is_reactive else "invariant",
+        task=None if run is None or run.task == NOT_RECORDED else run.task,
+        bodies=bodies,
+        stiffness=None if is_reactive else stiffness,
+        edge_rule=config.get("edge_rule") or "mean_factor",
+    )
+
+
+def _load(file: Path) -> Mapping[str, Any]:
+    import torch
+
+    try:
+        saved = torch.load(file, weights_only=True)
+    except (RuntimeError, EOFError, pickle.UnpicklingError) as error:
+        raise ValueError(f"policy: {file} cannot be read: {error}") from error
+    return saved if isinstance(saved, Mapping) else {}
+
+
+def _design(row: Mapping[str, Any], config: Mapping[str, Any]) -> "Design":
+    """Returns an individual's design as its arm simulates it."""
+    from evogymcm.algos.designs import Design
+
+    return Design.from_record(row).in_arm(config["arm"], config["prescribed"])
 
 
 def control_of(policy: Mapping[str, Any], engine: "TaskEngine") -> "Control":

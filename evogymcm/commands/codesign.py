@@ -6,10 +6,12 @@ from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
+from evogymcm.commands._errors import checking_arguments
 from evogymcm.commands._options import INTERRUPTED, Bar, how_to_resume, open_run, write_stiffness
 
 if TYPE_CHECKING:
     from evogymcm.algos.codesign import CodesignConfig, CodesignProgress, CodesignResult
+    from evogymcm.algos.runs import RunFolder
 
 _DESCRIPTION = """Evolves bodies together with their material and control, and keeps all of it in a run folder.
 
@@ -81,30 +83,30 @@ def run(args: argparse.Namespace) -> int:
     """Evolves and returns the exit status.
 
     Raises:
-        ValueError: An argument cannot be used.
-        ImportError: An optional package is missing.
+        UsageError: An argument cannot be used, or an optional package is missing.
     """
     import tyro
 
-    given: Any = tyro.cli(
-        options(),
-        prog="evogymcm codesign",
-        description=_DESCRIPTION,
-        args=args.rest,
-        config=(tyro.conf.FlagCreatePairsOff,),
-    )
-    return _codesign(given, args.rest)
+    with checking_arguments():
+        given: Any = tyro.cli(
+            options(),
+            prog="evogymcm codesign",
+            description=_DESCRIPTION,
+            args=args.rest,
+            config=(tyro.conf.FlagCreatePairsOff,),
+        )
+        config = without_choices(given.config)
+        config.check()
+        path = given.run or Path("runs") / f"{Path(config.task).stem}-codesign-{config.arm}-seed{config.seed}"
+        folder = open_run(path, asdict(config), resume=given.resume, overwrite=given.overwrite)
+    return _codesign(config, folder, args.rest)
 
 
-def _codesign(given: Any, arguments: Sequence[str]) -> int:
+def _codesign(config: "CodesignConfig", folder: "RunFolder", arguments: Sequence[str]) -> int:
     from evogymcm.algos.codesign import codesign
     from evogymcm.algos.codesign_cost import cost_of
     from evogymcm.algos.memory import keep_freed_memory
 
-    config = without_choices(given.config)
-    config.check()
-    path = given.run or Path("runs") / f"{config.task}-codesign-{config.arm}-seed{config.seed}"
-    folder = open_run(path, asdict(config), resume=given.resume, overwrite=given.overwrite)
     cost = cost_of(config)
     limit = cost.total if config.max_env_steps is None else min(cost.total, config.max_env_steps)
     parts = ", ".join(f"{name} {steps:,}" for name, steps in asdict(cost).items() if steps)
@@ -118,7 +120,7 @@ def _codesign(given: Any, arguments: Sequence[str]) -> int:
             bar.show(result.env_steps, {"best": f"{result.best.fitness:.3f}"})
     folder.write_json("result.json", _record(config, result))
     if result.best is not None:
-        _print_best(config, result, path)
+        _print_best(config, result, folder.path)
     if result.finished:
         return 0
     print(f"stopped after {result.env_steps:,} env-steps; to go on:\n  {how_to_resume('codesign', arguments)}")
@@ -169,5 +171,5 @@ def _print_best(config: "CodesignConfig", result: "CodesignResult", path: Path) 
     print(f"score   {score:.3f}{bound}: its stored policy, deterministic, in a fresh world")
     print(f"return  {alone.returns[0]:.3f}")
     print(f"run     {path} ({result.env_steps:,} env-steps)")
-    print(f"watch   evogymcm watch {config.task} --policy {path}")
+    print(f"watch   evogymcm watch --policy {path}")
     print(f"report  evogymcm report {path}")

@@ -1,9 +1,10 @@
 """`evogymcm report`: what run folders hold, as one HTML file."""
 
 import argparse
-import sys
 from pathlib import Path
 from typing import Any
+
+from evogymcm.commands._errors import checking_arguments
 
 
 def add_parser(subparsers: Any) -> None:
@@ -26,16 +27,15 @@ def run(args: argparse.Namespace) -> int:
     """Writes the report and returns the exit status.
 
     Raises:
-        ValueError: A folder or the file's name cannot be used.
+        UsageError: A folder or the file's name cannot be used, or a package of the extra `report` is missing.
     """
-    from evogymcm.report import write_report
+    from evogymcm.report.page import prepare, write_page
 
-    try:
-        out = write_report(args.runs, args.out, overwrite=args.overwrite, animations=not args.no_animations)
-    except FileExistsError:
-        raise ValueError(f"out: {args.out} exists (--overwrite)") from None
-    except ImportError as error:
-        print(f"evogymcm: {error}", file=sys.stderr)
-        return 2
-    print(f"wrote {out}")
+    with checking_arguments():
+        try:
+            sources = prepare(args.runs, args.out, overwrite=args.overwrite)
+        except FileExistsError:
+            raise ValueError(f"out: {args.out} exists (--overwrite)") from None
+    write_page(sources, args.out, animations=not args.no_animations)
+    print(f"wrote {args.out}")
     return 0

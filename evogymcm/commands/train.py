@@ -1,12 +1,13 @@
 """`evogymcm train`: a policy for one or several bodies, kept in a run folder."""
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
+from evogymcm.commands._errors import checking_arguments
 from evogymcm.commands._options import (
     INTERRUPTED,
     Bar,
@@ -21,7 +22,8 @@ from evogymcm.commands._options import (
 )
 
 if TYPE_CHECKING:
-    from evogymcm.algos import PPOConfig, Progress, TrainResult
+    from evogymcm.algos import PPOConfig, Progress, RunFolder, TrainResult
+    from evogymcm.algos.trainer import EnvFactory
 
 _DESCRIPTION = """Trains a policy with PPO and keeps it in a run folder.
 
@@ -91,28 +93,41 @@ def run(args: argparse.Namespace) -> int:
     """Trains and returns the exit status.
 
     Raises:
-        ValueError: An argument cannot be used.
-        ImportError: A logger's package is missing.
+        UsageError: An argument cannot be used, or a logger's package is missing.
     """
+    from evogymcm.algos import keep_freed_memory, train
+
+    with checking_arguments():
+        given, make_env, config, folder = _prepare(args.rest)
+        logger = make_logger(given.logger, folder.path)
+    with Bar(given.ppo.total_steps) as bar:
+        keep_freed_memory()
+        result = train(make_env, given.ppo, run=folder, progress=partial(_show, bar, {}), logger=logger)
+    folder.write_json("result.json", _record(config, given.ppo, result))
+    if result.final is None:
+        print(f"stopped after {result.env_steps:,} env-steps; to go on:\n  {how_to_resume('train', args.rest)}")
+        return INTERRUPTED
+    _print_result(result, config, folder.path)
+    return 0
+
+
+def _prepare(arguments: Sequence[str]) -> "tuple[Any, EnvFactory, dict[str, Any], RunFolder]":
+    """Returns the options, what makes environments, the run's settings, and its folder, opened once they are fine."""
+    from dataclasses import asdict
+
     import tyro
+
+    from evogymcm.algos import Trainer
+    from evogymcm.body import as_body
+    from evogymcm.envs import SoftRobotEnv
 
     given: Any = tyro.cli(
         options(),
         prog="evogymcm train",
         description=_DESCRIPTION,
-        args=args.rest,
+        args=arguments,
         config=(tyro.conf.FlagCreatePairsOff,),
     )
-    return _train(given, args.rest)
-
-
-def _train(given: Any, arguments: Sequence[str]) -> int:
-    from dataclasses import asdict
-
-    from evogymcm.algos import Trainer, keep_freed_memory, train
-    from evogymcm.body import as_body
-    from evogymcm.envs import SoftRobotEnv
-
     task = choose_task(given.task, given.world)
     bodies = choose_bodies(given.body, task)
     fields = read_stiffness(given.stiffness, bodies)
@@ -136,17 +151,7 @@ def _train(given: Any, arguments: Sequence[str]) -> int:
     check_logger(given.logger)
     Trainer(make_env, given.ppo).close()  # what cannot be trained fails here, before a folder is touched
     path = given.run or Path("runs") / f"{Path(task).stem}-{given.material}-seed{given.ppo.seed}"
-    folder = open_run(path, config, resume=given.resume, overwrite=given.overwrite)
-    logger = make_logger(given.logger, path)
-    with Bar(given.ppo.total_steps) as bar:
-        keep_freed_memory()
-        result = train(make_env, given.ppo, run=folder, progress=partial(_show, bar, {}), logger=logger)
-    folder.write_json("result.json", _record(task, bodies, given.ppo, result))
-    if result.final is None:
-        print(f"stopped after {result.env_steps:,} env-steps; to go on:\n  {how_to_resume('train', arguments)}")
-        return INTERRUPTED
-    _print_result(result, task, bodies, path)
-    return 0
+    return given, make_env, config, open_run(path, config, resume=given.resume, overwrite=given.overwrite)
 
 
 def _show(bar: Bar, latest: dict[str, str], state: "Progress") -> None:
@@ -156,15 +161,15 @@ def _show(bar: Bar, latest: dict[str, str], state: "Progress") -> None:
     bar.show(state.env_steps, latest)
 
 
-def _record(task: str, bodies: list[str], ppo: "PPOConfig", result: "TrainResult") -> dict[str, Any]:
+def _record(config: Mapping[str, Any], ppo: "PPOConfig", result: "TrainResult") -> dict[str, Any]:
     """Returns the numbers of a run, named as in the benchmark suite's records."""
     from evogymcm import __version__
 
     return {
         "evogymcm": __version__,
-        "task": task,
+        "task": config["task"],
         "seed": ppo.seed,
-        "robot": ", ".join(bodies),
+        "robot": ", ".join(config["bodies"]),
         "finished": result.finished,
         "env_steps": result.env_steps,
         "train_seconds": result.seconds,
@@ -175,11 +180,11 @@ def _record(task: str, bodies: list[str], ppo: "PPOConfig", result: "TrainResult
     }
 
 
-def _print_result(result: "TrainResult", task: str, bodies: list[str], path: Path) -> None:
+def _print_result(result: "TrainResult", config: Mapping[str, Any], path: Path) -> None:
     import numpy as np
 
     assert result.final is not None
-    final = result.final
+    final, bodies = result.final, config["bodies"]
     for i, body in enumerate(bodies):
         score, total, ceiling = (
             values[i :: len(bodies)].mean() for values in (final.score, final.returns, final.ceiling)
@@ -193,5 +198,5 @@ def _print_result(result: "TrainResult", task: str, bodies: list[str], path: Pat
     over = " (means over the bodies)" if len(bodies) > 1 else ""
     print(f"best    {result.best_score:.3f}: the largest score of {evaluations} evaluations in training{over}")
     print(f"run     {path} ({result.env_steps:,} env-steps, {result.seconds:.0f} s)")
-    print(f"watch   evogymcm watch {task} --policy {path}")
+    print(f"watch   evogymcm watch --policy {path}")
     print(f"report  evogymcm report {path}")

@@ -1,11 +1,12 @@
 """`evogymcm watch`: robots at work, in a window or a file."""
 
 import argparse
-import sys
+import importlib.util
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from evogymcm.commands._errors import checking_arguments
 from evogymcm.commands._options import choose_task, default_body, read_stiffness
 
 if TYPE_CHECKING:  # numba is loaded when the command runs, not for its help
@@ -20,7 +21,7 @@ _EXAMPLES = """examples:
   evogymcm watch Walker-v0 --body Walk_Bot
   evogymcm watch Walker-v0 --body HHH/V.V --material invariant --stiffness 2,2,2/0.5,1,0.5 --view stiffness
   evogymcm watch --world terrain.json --body robot.npz
-  evogymcm watch Walker-v0 --policy runs/first --out walk.mp4
+  evogymcm watch --policy runs/first --out walk.mp4
   evogymcm watch BridgeWalker-v0 --policy runs/first --body HHH/V.V HHHH/V..V    # also what it has never seen"""
 
 
@@ -33,7 +34,9 @@ def add_parser(subparsers: Any) -> None:
         epilog=_EXAMPLES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("task", nargs="?", help="such as Walker-v0; `evogymcm tasks` lists them")
+    parser.add_argument(
+        "task", nargs="?", help="such as Walker-v0; `evogymcm tasks` lists them; default: the one of the policy's run"
+    )
     parser.add_argument(
         "--world",
         type=Path,
@@ -59,7 +62,8 @@ def add_parser(subparsers: Any) -> None:
         "--policy",
         type=Path,
         metavar="RUN",
-        help="folder of a training run (its last policy) or of co-design (its best design); default: a sine wave",
+        help="folder of a training run (its last policy) or of co-design (its best design), or one of their files, "
+        "such as policy-0003.pt (design 3); default: a sine wave",
     )
     parser.add_argument(
         "--out",
@@ -79,20 +83,19 @@ def run(args: argparse.Namespace) -> int:
     """Shows an episode and returns the exit status.
 
     Raises:
-        ValueError: An argument cannot be used.
+        UsageError: An argument cannot be used, or a package of the extra `render` is missing.
     """
-    for name in ("steps", "every"):
-        if getattr(args, name) is not None and getattr(args, name) < 1:
-            raise ValueError(f"{name}: got {getattr(args, name)}, at least 1 is needed")
-    engine, control = _engine(args)
-    from evogymcm.envs.render import Renderer
+    with checking_arguments():
+        for name in ("steps", "every"):
+            if getattr(args, name) is not None and getattr(args, name) < 1:
+                raise ValueError(f"{name}: got {getattr(args, name)}, at least 1 is needed")
+        from evogymcm.envs.render import Renderer
 
-    try:
+        engine, control = _engine(args)
         renderer = Renderer(engine, args.width, args.height, args.view)
-        _show(_pictures(engine, control, renderer, args.steps or engine.task.time_limit, args.every), engine, args)
-    except ImportError as error:
-        print(f"evogymcm: {error}", file=sys.stderr)
-        return 2
+        out = _out(args.out, engine.task.id)
+    steps = args.steps or engine.task.time_limit
+    _show(_pictures(engine, control, renderer, steps, args.every), engine, out, args.every)
     for world, body in enumerate(engine.bodies):
         print(f"{body.text}: {engine.length[world]} env-steps, score {engine.score[world]:.3f}")
     return 0
@@ -105,15 +108,21 @@ def _engine(args: argparse.Namespace) -> "tuple[TaskEngine, Control]":
     from evogymcm.envs.core import TaskEngine
     from evogymcm.envs.gaits import sine_gait
 
-    task = choose_task(args.task, args.world)
     if args.policy is None:
+        task = choose_task(args.task, args.world)
         shown = [as_body(body) for body in args.body or [default_body(task)]]
         fields, material = read_stiffness(args.stiffness, shown), args.material or "reactive"
         return TaskEngine(task, shown, material=material, stiffness=fields, seed=0, with_voxels=False), sine_gait
     trained = load_trained(args.policy)
     if args.material not in (None, trained.material):
         raise ValueError(f"material: got {args.material!r}, the policy was trained with {trained.material!r}")
-    bodies = [as_body(body) for body in args.body or trained.bodies or [default_body(task)]]
+    if not (args.task or args.world or trained.task):
+        raise ValueError(f"task: got none, and {args.policy} does not say on which one it was trained")
+    task = choose_task(args.task or (None if args.world else trained.task), args.world)
+    given = args.body or trained.bodies
+    if not given:
+        raise ValueError(f"body: got none, and {args.policy} does not say on which one it was trained (--body)")
+    bodies = [as_body(body) for body in given]
     fields = read_stiffness(args.stiffness, bodies)
     if fields is None and not args.body:
         fields = trained.stiffness
@@ -137,21 +146,45 @@ def _pictures(
         going = ~(engine.terminated | engine.truncated)
 
 
-def _show(pictures: "Iterator[np.ndarray]", engine: "TaskEngine", args: argparse.Namespace) -> None:
+def _out(given: Path | None, task: str) -> Path | None:
+    """Returns the file to write, None for a window.
+
+    Raises:
+        ImportError: A package that it needs is missing.
+        ValueError: There is no such format or folder.
+    """
+    from evogymcm.envs._extras import load_imageio
+    from evogymcm.envs._human import has_display
+    from evogymcm.envs.video import VIDEOS
+
+    if given is None and has_display():
+        return None
+    out = given or Path(f"{Path(task).stem}.mp4")
+    suffix = out.suffix.lower()
+    if suffix not in (".png", *VIDEOS):
+        raise ValueError(f"out: got {out.name!r}, allowed suffixes are .png, {', '.join(VIDEOS)}")
+    if not out.parent.is_dir():
+        raise ValueError(f"out: the folder {out.parent} does not exist")
+    load_imageio()
+    if suffix == ".mp4" and importlib.util.find_spec("imageio_ffmpeg") is None:
+        raise ImportError("MP4 needs imageio-ffmpeg: pip install evogymcm[render]")
+    return out
+
+
+def _show(pictures: "Iterator[np.ndarray]", engine: "TaskEngine", out: Path | None, every: int) -> None:
     """Shows pictures in a window, or writes them to a file."""
-    from evogymcm.envs._human import Window, has_display
+    from evogymcm.envs._human import Window
     from evogymcm.envs.render import FPS
     from evogymcm.envs.video import write_picture, write_video
 
-    fps = FPS / args.every
-    if args.out is None and has_display():
+    fps = FPS / every
+    if out is None:
         window = Window(engine.task.id, fps)
         for picture in pictures:
             if not window.show(picture):
                 break
         window.close()
         return
-    out = args.out or Path(f"{engine.task.id}.mp4")
     if out.suffix.lower() == ".png":
         *_, last = pictures
         write_picture(out, last)

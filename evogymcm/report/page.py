@@ -6,6 +6,7 @@ from typing import Any
 
 from evogymcm.report import figures, tables
 from evogymcm.report.designs import design_sections
+from evogymcm.report.figures import load_plotly
 from evogymcm.report.intervals import interval_note
 from evogymcm.report.parts import Figure, Fold, Note, Part, Picture, Pictures, Section
 from evogymcm.report.runs import CodesignRun, TrainingRun
@@ -33,18 +34,29 @@ def write_report(
         ValueError: A folder is missing, holds no run, or one of its files cannot be read; or the file's name does not
             end in .html, or its folder does not exist.
     """
-    from evogymcm.algos.runs import write_atomic
-
     out = Path(out)
+    write_page(prepare([Path(run) for run in runs], out, overwrite=overwrite), out, animations=animations)
+    return out
+
+
+def prepare(runs: Sequence[Path], out: Path, *, overwrite: bool) -> list[Source]:
+    """Returns what the report is on, read once all else is fine; for its errors see `write_report`."""
     if out.suffix.lower() not in (".html", ".htm"):
         raise ValueError(f"out: got {out.name!r}, the suffix must be .html")
     if not out.parent.is_dir():
         raise ValueError(f"out: the folder {out.parent} does not exist")
     if out.exists() and not overwrite:
         raise FileExistsError(f"{out} exists; set overwrite to replace it")
-    page = make_report(runs, animations=animations)
+    _check_packages()
+    return read_sources(runs)
+
+
+def write_page(sources: Sequence[Source], out: Path, *, animations: bool) -> None:
+    """Writes the report on what has been read, in one step."""
+    from evogymcm.algos.runs import write_atomic
+
+    page = _page(sources, animations=animations)
     write_atomic(out, lambda part: part.write_text(page, encoding="utf-8"))
-    return out
 
 
 def make_report(runs: Sequence[str | Path], *, animations: bool = True) -> str:
@@ -54,8 +66,20 @@ def make_report(runs: Sequence[str | Path], *, animations: bool = True) -> str:
         ImportError: A package of the extra `report` is missing.
         ValueError: A folder is missing, holds no run, or one of its files cannot be read.
     """
-    figures.load_plotly()
-    sources = read_sources([Path(run) for run in runs])
+    _check_packages()
+    return _page(read_sources([Path(run) for run in runs]), animations=animations)
+
+
+def _check_packages() -> None:
+    """Raises an ImportError, naming the extra, where one of its packages is missing."""
+    load_plotly()
+    try:
+        import jinja2  # noqa: F401
+    except ImportError as error:
+        raise ImportError("reports need jinja2, which cannot be imported: pip install evogymcm[report]") from error
+
+
+def _page(sources: Sequence[Source], *, animations: bool) -> str:
     arms = make_arms(sources)
     sections = [
         _origin(sources),

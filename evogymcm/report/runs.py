@@ -1,6 +1,7 @@
 """Runs as they lie in folders, recognised by what is in them; nothing is written there."""
 
 import json
+import pickle
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +13,8 @@ Row = Mapping[str, Any]
 Curve = tuple[tuple[float, float], ...]
 
 CONFIG, TABLE, RESULT, SIGNALS = "config.json", "curve.jsonl", "result.json", "signals.json"
+_STATE, _FINAL = "codesign.pt", "final.pt"
+_FIRST_PHASES = ("screen", "train")  # of a generation of co-design
 NOT_RECORDED = "not recorded"
 
 
@@ -23,7 +26,8 @@ class Run:
         name: of its folder.
         path: the folder; None where there is only the suite's record of the run.
         task: id of the task.
-        arm: what it is compared by, such as "co-optimisation"; the folder's name where the settings say nothing.
+        arm: what it is compared by, such as "co-optimisation", or the variant in a comparison of those; the folder's
+            name where the settings say nothing.
         seed: None where it is not recorded.
         config: the settings.
         finished: whether it was run to its end.
@@ -91,18 +95,21 @@ class CodesignRun(Run):
         return sorted(told, key=lambda row: -row["fitness"])
 
 
-def read_json(path: Path) -> Any:
-    """Returns the content of a JSON file, None where there is no such file.
+def read_json(path: Path) -> Row:
+    """Returns the object in a JSON file, an empty one where there is no such file.
 
     Raises:
-        ValueError: It is no JSON.
+        ValueError: It is no JSON, or no object.
     """
     if not path.is_file():
-        return None
+        return {}
     try:
-        return json.loads(path.read_text(encoding="utf-8"))
+        content = json.loads(path.read_text(encoding="utf-8"))
     except ValueError as error:
         raise ValueError(f"{path}: not JSON: {error}") from error
+    if not isinstance(content, dict):
+        raise ValueError(f"{path}: got {type(content).__name__}, expected a JSON object")
+    return content
 
 
 def _read_rows(path: Path) -> list[Row]:
@@ -127,21 +134,21 @@ def read_run(path: Path | None, record: Row | None = None) -> TrainingRun | Code
 
     Args:
         path: the folder of one run.
-        record: what a suite's results say of the run; by default what the folder's `result.json` says.
+        record: what a suite's results say of the run; what the folder's own `result.json` says is newer.
 
     Raises:
         ValueError: A file cannot be read.
     """
     rows = _read_rows(path / TABLE) if path else []
-    config = (read_json(path / CONFIG) if path else None) or {}
-    record = record or (read_json(path / RESULT) if path else None) or {}
-    signals = read_json(path / SIGNALS) if path else None
+    config = read_json(path / CONFIG) if path else {}
+    record = (read_json(path / RESULT) if path else {}) or record or {}
+    signals = (read_json(path / SIGNALS) if path else {}) or None
     name = path.name if path else run_name(record)
     common: dict[str, Any] = {
         "name": name,
         "path": path,
         "task": record.get("task") or config.get("task") or NOT_RECORDED,
-        "arm": record.get("arm") or config.get("arm") or config.get("material") or name,
+        "arm": _arm(record) or _arm(config) or config.get("material") or name,
         "seed": record.get("seed", config.get("seed", _inner(config).get("seed"))),
         "config": config,
         "signals": signals,
@@ -150,6 +157,11 @@ def read_run(path: Path | None, record: Row | None = None) -> TrainingRun | Code
     if is_searched or "population" in config or any("event" in row for row in rows):
         return _codesign_run(rows, record, common)
     return _training_run(rows, record, common)
+
+
+def _arm(settings: Row) -> str | None:
+    """Returns what a run is compared by: the variant, where variants within an arm are compared."""
+    return settings.get("variant") or settings.get("arm")
 
 
 def _inner(config: Row) -> Row:
@@ -166,9 +178,8 @@ def _training_run(rows: list[Row], record: Row, common: dict[str, Any]) -> Train
     if not curve:
         return None
     env_steps = max(int(record.get("env_steps") or 0), int(rows[-1]["env_steps"]) if rows else 0)
-    path, total = common["path"], _inner(common["config"]).get("total_steps")
-    is_full = bool(path and (path / "final.pt").is_file()) or (total is not None and env_steps >= total)
-    finished = bool(record.get("finished", is_full))
+    path = common["path"]  # its files are newer than a record of an earlier sitting
+    finished = bool(record.get("finished")) or bool(path and (path / _FINAL).is_file())
     last: Row = record.get("final") or (scored[-1] if finished and scored else {})
     return TrainingRun(
         **common,
@@ -179,7 +190,7 @@ def _training_run(rows: list[Row], record: Row, common: dict[str, Any]) -> Train
         final_return=last.get("return"),
         fraction=last.get("fraction_of_ceiling"),
         body=_body(common["config"], record),
-        seconds=record.get("train_seconds") or next((row["seconds"] for row in rows[::-1] if "seconds" in row), None),
+        seconds=next((row["seconds"] for row in rows[::-1] if "seconds" in row), record.get("train_seconds")),
     )
 
 
@@ -203,12 +214,11 @@ def _codesign_run(rows: list[Row], record: Row, common: dict[str, Any]) -> Codes
         individuals = {record["best"].get("index", 0): record["best"]}
     bodies = max(len(individuals), int(record.get("bodies") or 0))
     env_steps = max(int(record.get("env_steps") or 0), int(curve[-1][0]))
-    finished = record.get("finished")
-    if finished is None:
-        finished = _is_used_up(common["config"], rows, bodies, env_steps)
+    path = common["path"]
+    finished = bool(record.get("finished")) or bool(path and _is_finished(path, common["config"]))
     return CodesignRun(
         **common,
-        finished=bool(finished),
+        finished=finished,
         env_steps=env_steps,
         curve=curve,
         individuals=individuals,
@@ -216,17 +226,31 @@ def _codesign_run(rows: list[Row], record: Row, common: dict[str, Any]) -> Codes
     )
 
 
-def _is_used_up(config: Row, rows: list[Row], bodies: int, env_steps: int) -> bool:
-    """Whether a budget of co-design is used and the last phase done, as far as the table tells."""
-    if config.get("arm") == "invariant" and rows[-1].get("event") != "finetune":
-        return False
-    limit, budget = config.get("max_env_steps"), config.get("budget")
-    return (limit is not None and env_steps >= limit) or (budget is not None and bodies >= budget)
+def _is_finished(path: Path, config: Row) -> bool:
+    """Whether co-design has used a budget and done all phases of its last generation, by the state that it saved.
+
+    Raises:
+        ValueError: The state cannot be read.
+    """
+    file = path / _STATE
+    if not file.is_file():
+        return False  # killed in its first phase
+    import torch
+
+    try:
+        state = torch.load(file, weights_only=True)
+        if state["phase"] not in _FIRST_PHASES:
+            return False
+        limit, budget = config.get("max_env_steps"), config.get("budget")
+        spent, proposed = state["env_steps"], state["search"]["n_designs"]
+    except (KeyError, RuntimeError, TypeError, EOFError, pickle.UnpicklingError) as error:
+        raise ValueError(f"{file}: not the state of a co-design run: {error}") from error
+    return (limit is not None and spent >= limit) or (budget is not None and proposed >= budget)
 
 
 def run_name(record: Row) -> str:
     """Returns the name that a suite gives a run's folder."""
-    return f"{record.get('task')}-{record.get('arm')}-seed{record.get('seed')}"
+    return f"{record.get('task')}-{_arm(record)}-seed{record.get('seed')}"
 
 
 def run_folders(path: Path) -> Iterator[Path]:

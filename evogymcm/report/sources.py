@@ -2,7 +2,7 @@
 
 import json
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -22,6 +22,7 @@ from evogymcm.report.runs import (
 __all__ = ["AnyRun", "Arm", "Source", "make_arms", "read_source", "read_sources"]
 
 AnyRun = TrainingRun | CodesignRun
+Groups = dict[tuple[str, str], list[tuple["Source", AnyRun]]]  # by arm and settings
 
 _COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#7f7f7f", "#000000")  # Okabe and Ito
 _USUAL = {  # the same for the same arm in every report
@@ -43,7 +44,7 @@ class Source:
     Attributes:
         name: how the report calls it.
         path: the folder.
-        kind: "experiment A", "B" or "C", "training run", "co-design run" or "run folders".
+        kind: "experiment A", "B" or "C", "comparison" (of variants), "training run", "co-design run" or "run folders".
         runs: in it, those that have not begun left out.
         planned: number of runs that a suite plans; None for others.
         results: what a suite's `results.json` holds, empty without.
@@ -112,37 +113,47 @@ def read_source(path: Path, name: str | None = None) -> Source:
     if not path.is_dir():
         raise ValueError(f"runs: {path} is not a folder")
     name = name or path.resolve().name
-    config: Row = read_json(path / CONFIG) or {}
-    results: Row = read_json(path / "results.json") or {}
+    config, results = read_json(path / CONFIG), read_json(path / "results.json")
     if (path / TABLE).is_file():
         run = read_run(path)
         if run is None:
             raise ValueError(f"runs: {path} holds a run without any score yet")
         kind = "co-design run" if isinstance(run, CodesignRun) else "training run"
         return Source(name, path, kind, (run,), None, results, config)
-    suite: Row = results.get("suite") or config
+    suite: Row = results.get("suite") or results.get("comparison") or config
     is_suite = bool(results.get("runs")) or set(_PLANNED) <= suite.keys()
     runs = _runs_inside(path, results, suite)
     if not runs:
         raise ValueError(
             f"runs: {path} holds neither a run ({TABLE}) nor a suite (results.json), nor folders of runs with scores"
         )
-    kind = f"experiment {suite.get('experiment', 'A')}" if is_suite else "run folders"
+    kind = "run folders"
+    if is_suite:
+        kind = "comparison" if "variants" in suite else f"experiment {suite.get('experiment', 'A')}"
     return Source(name, path, kind, tuple(runs), _planned(suite) if is_suite else None, results, suite)
 
 
 def _planned(suite: Row) -> int | None:
-    counts = [len(suite.get(key) or ()) for key in _PLANNED]
-    return counts[0] * counts[1] * counts[2] or None
+    counts = [len(suite.get(key) or ()) for key in (*_PLANNED, "variants")]
+    return counts[0] * counts[1] * counts[2] * max(counts[3], 1) or None
 
 
 def _runs_inside(path: Path, results: Row, suite: Row) -> list[AnyRun]:
     """Returns the runs of folders inside, with what the suite recorded of them, and those of records alone."""
-    records = {run_name(record): record for record in results.get("runs") or ()}
-    runs = [read_run(folder, records.pop(folder.name, None)) for folder in run_folders(path)]
-    runs += [read_run(None, record) for record in records.values()]
+    records: dict[str, list[Row]] = {}
+    for record in results.get("runs") or ():
+        records.setdefault(run_name(record), []).append(record)
+    runs = []
+    for folder in run_folders(path):
+        recorded = records.get(folder.name)
+        runs.append(read_run(folder, recorded.pop(0) if recorded else None))
+    runs += [read_run(None, record) for left in records.values() for record in left]
     begun = [run for run in runs if run is not None]
-    return sorted(begun, key=lambda run: [_place(suite.get(key), getattr(run, key[:-1])) for key in _PLANNED])
+    order = (suite.get("tasks"), suite.get("variants") or suite.get("arms"), suite.get("seeds"))
+    return sorted(
+        begun,
+        key=lambda run: [_place(*pair) for pair in zip(order, (run.task, run.arm, run.seed), strict=True)],
+    )
 
 
 def _place(items: Sequence[Any] | None, item: Any) -> int:
@@ -156,16 +167,13 @@ def make_arms(sources: Sequence[Source]) -> list[Arm]:
     Runs of the same arm and settings are seeds of one arm, wherever they lie. Where arms of one name differ in their
     settings, or the same seed comes twice, they stay apart and bear their source's name too.
     """
-    groups: dict[tuple[str, str], list[tuple[Source, AnyRun]]] = {}
+    groups: Groups = {}
     for source in sources:
         for run in source.runs:
             groups.setdefault((run.arm, _settings(source, run)), []).append((source, run))
-    for key, members in list(groups.items()):
-        places = [(type(run), run.task, run.seed) for _, run in members]
-        if len(set(places)) < len(places):  # the same run twice is not two seeds
-            del groups[key]
-            for source, run in members:
-                groups.setdefault((run.arm, f"{source.path}/{key[1]}"), []).append((source, run))
+    # The same run twice is not two seeds: such groups fall apart by source, and within one source run by run.
+    groups = _split(groups, lambda source, _: str(source.path))
+    groups = _split(groups, lambda _, run: str(id(run)))
     names = [arm for arm, _ in groups]
     labels = {key: key[0] if names.count(key[0]) == 1 else _long_label(members) for key, members in groups.items()}
     colours = _colours([key[0] for key in groups])
@@ -178,6 +186,18 @@ def make_arms(sources: Sequence[Source]) -> list[Arm]:
         )
         for (key, members), colour in zip(groups.items(), colours, strict=True)
     ]
+
+
+def _split(groups: Groups, place: Callable[[Source, AnyRun], str]) -> Groups:
+    """Returns groups in which a seed of a task comes twice divided by place, and the others as they are."""
+    found: Groups = {}
+    for key, members in groups.items():
+        seeds = [(type(run), run.task, run.seed) for _, run in members]
+        is_twice = len(set(seeds)) < len(seeds)
+        for source, run in members:
+            own = (key[0], f"{place(source, run)} {key[1]}") if is_twice else key
+            found.setdefault(own, []).append((source, run))
+    return found
 
 
 def _settings(source: Source, run: AnyRun) -> str:

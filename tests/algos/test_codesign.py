@@ -32,7 +32,7 @@ class Dash(Task):
 
 if "Dash-v0" not in cm.tasks:
     observes = ("velocity", "orientation", "relative")
-    cm.register_task(Dash("Dash-v0", world="Walker-v0", spawn=(1, 1), time_limit=20, observes=observes))
+    cm.register_task(Dash("Dash-v0", world="Walker-v0", spawn=(1, 1), time_limit=8, observes=observes))
 
 
 def told(result):

@@ -1,12 +1,6 @@
 """Training in the simulator: the same weights for any number of threads, and after a kill at any moment."""
 
 import functools
-import os
-import random
-import signal
-import subprocess
-import sys
-import time
 from dataclasses import asdict, replace
 
 import pytest
@@ -84,23 +78,3 @@ def test_threads_of_the_simulator_change_nothing():
     config = PPOConfig(total_steps=1024, num_worlds=32, rollout_steps=16, minibatch=256, hidden=16, eval_interval=0)
     runs = [train(functools.partial(make_short, num_threads=threads), config) for threads in (1, 3)]
     assert _same(*runs)
-
-
-@pytest.mark.slow
-def test_a_run_killed_at_any_moment_goes_on_to_the_same_weights(tmp_path):
-    whole = train(make_short, TINY)
-    folder = tmp_path / "run"
-    call = f"from tests.algos.test_real_env import _train_tiny; _train_tiny({str(folder)!r})"
-    process = subprocess.Popen([sys.executable, "-c", call], stderr=subprocess.DEVNULL)
-    deadline = time.monotonic() + 120
-    while not (folder / "checkpoint.pt").exists() and process.poll() is None and time.monotonic() < deadline:
-        time.sleep(0.01)
-    time.sleep(random.uniform(0, 0.8 * whole.seconds))
-    if process.poll() is None:
-        os.kill(process.pid, signal.SIGKILL)
-    process.wait()
-    assert (folder / "checkpoint.pt").exists()
-    resumed = train(make_short, TINY, run=RunFolder(folder, asdict(TINY), resume=True))
-    assert resumed.finished
-    assert _same(whole, resumed)
-    assert [row["env_steps"] for row in resumed.rows] == [row["env_steps"] for row in whole.rows]

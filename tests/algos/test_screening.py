@@ -192,7 +192,7 @@ def test_mutants_are_scored_as_if_alone_but_for_rounding():
     groups = [[item.design for item in group] for group in search.mutants(3)]
     policies = train_designs(arena, [group[0] for group in groups], PPO).best
     scores, steps = score_mutants(arena, groups, policies)
-    assert steps == 3 * len(groups) * 20
+    assert steps == 3 * len(groups) * 8
     for group, policy, row in zip(groups, policies, scores, strict=True):
         np.testing.assert_allclose(row, score_alone(arena, group, [policy] * 3).score, rtol=0, atol=1e-6)
 
@@ -200,9 +200,9 @@ def test_mutants_are_scored_as_if_alone_but_for_rounding():
 def test_screening_is_counted():
     plain, screened = (codesign(replace(TINY, inherit=True, mutants=mutants, arm="fixed")) for mutants in (1, 4))
     children = 3
-    assert screened.env_steps - plain.env_steps == children * 4 * 20
+    assert screened.env_steps - plain.env_steps == children * 4 * 8
     cost = cost_of(replace(TINY, inherit=True, mutants=4, arm="fixed"))
-    assert cost.screening == children * 4 * 20
+    assert cost.screening == children * 4 * 8
     assert screened.env_steps == cost.total
 
 

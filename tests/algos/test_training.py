@@ -12,7 +12,7 @@ import torch
 from evogymcm.algos import PPOConfig, RunFolder, Trainer, evaluate, load_actor, make_actor, train
 from tests.algos.toy_env import SMALL, WIDE, ToyEnv
 
-TINY = PPOConfig(total_steps=960, num_worlds=8, rollout_steps=20, epochs=2, minibatch=40, hidden=16, eval_interval=400)
+TINY = PPOConfig(total_steps=960, num_worlds=8, rollout_steps=20, epochs=2, minibatch=80, hidden=16, eval_interval=400)
 make_toy = functools.partial(ToyEnv, bodies=SMALL)
 
 

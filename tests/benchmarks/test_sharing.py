@@ -16,6 +16,7 @@ from evogymcm.algos.generation import Arena
 from evogymcm.envs import tasks
 
 BENCHMARKS = Path(__file__).resolve().parents[2] / "benchmarks"
+SHORT = replace(tasks.as_task("Walker-v0"), time_limit=6)
 
 
 @pytest.fixture
@@ -32,7 +33,7 @@ def sharing(monkeypatch):
 
 @pytest.fixture
 def short_episodes(monkeypatch):
-    monkeypatch.setitem(tasks._REGISTRY, "Walker-v0", replace(tasks.as_task("Walker-v0"), time_limit=20))
+    monkeypatch.setitem(tasks._REGISTRY, "Walker-v0", SHORT)
 
 
 def tiny(experiments, **changes):
@@ -82,27 +83,36 @@ def test_fine_tuning_goes_on_from_the_end_of_the_schedules(experiments):
     assert shared.minibatch * experiment.bodies == 512
 
 
-@pytest.mark.usefixtures("short_episodes")
-def test_fine_tuning_starts_from_the_shared_weights(experiments, tmp_path, monkeypatch):
-    given, train_designs = {}, experiments.train_designs
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """The shared arm from end to end: its folder, its record, what it told, and what each training started from."""
+    folder, given = tmp_path_factory.mktemp("whole"), {}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(BENCHMARKS)
+        experiments = importlib.import_module("_sharing")
+        train_designs = experiments.train_designs
 
-    def spy(arena, designs, ppo, *, start_from, **options):
-        given[ppo.sharing] = start_from
-        return train_designs(arena, designs, ppo, start_from=start_from, **options)
+        def spy(arena, designs, ppo, *, start_from, **options):
+            given[ppo.sharing] = start_from
+            return train_designs(arena, designs, ppo, start_from=start_from, **options)
 
-    monkeypatch.setattr(experiments, "train_designs", spy)
-    experiment = tiny(experiments)
-    record, told = run(experiment, "shared", tmp_path)
+        patch.setattr(experiments, "train_designs", spy)
+        patch.setitem(tasks._REGISTRY, "Walker-v0", SHORT)
+        return folder, *run(tiny(experiments), "shared", folder), given
+
+
+def test_fine_tuning_starts_from_the_shared_weights(experiments, whole):
+    folder, record, told, given = whole
     assert given["shared"] is None
-    last = RunFolder(tmp_path / "shared" / "shared", {"policy": "shared"}, resume=True).load("final")["actor"]
+    last = RunFolder(folder / "shared" / "shared", {"policy": "shared"}, resume=True).load("final")["actor"]
     assert len(given["independent"]) == 2
     assert all(torch.equal(policy["actor"][key], last[key]) for policy in given["independent"] for key in last)
     assert {bodies: set(scores) for bodies, scores in record["scores"].items()} == {
         "seen": {"untrained", "shared"}, "unseen": {"untrained", "zero-shot", "fine-tuned"}
     }  # fmt: skip
     assert record["finished"]
-    assert told[-1][0] == experiment.steps_per_run == 192 + 128
-    tuned = torch.load(tmp_path / "shared" / "fine-tuned" / "final.pt", weights_only=True)["actor"]
+    assert told[-1][0] == tiny(experiments).steps_per_run == 192 + 128
+    tuned = torch.load(folder / "shared" / "fine-tuned" / "final.pt", weights_only=True)["actor"]
     assert not torch.equal(take_state(tuned, 0)["heads.weight"], take_state(tuned, 1)["heads.weight"])
 
 
@@ -131,9 +141,8 @@ def test_the_untrained_policy_is_where_shared_training_starts(experiments):
 
 
 @pytest.mark.usefixtures("short_episodes")
-def test_a_stopped_arm_resumes_exactly(experiments, tmp_path):
+def test_a_stopped_arm_resumes_exactly(experiments, whole, tmp_path):
     experiment = tiny(experiments)
-    whole, _ = run(experiment, "shared", tmp_path / "whole")
     for updates in (1, 2):  # within shared training, then within fine-tuning
         calls = iter(range(100))
         stopped, _ = run(
@@ -144,7 +153,7 @@ def test_a_stopped_arm_resumes_exactly(experiments, tmp_path):
     assert "fine-tuned" not in stopped["scores"]["unseen"]
     resumed, _ = run(experiment, "shared", tmp_path / "run", resume=True)
     assert resumed["finished"]
-    assert resumed["scores"] == whole["scores"]
+    assert resumed["scores"] == whole[1]["scores"]
 
 
 def test_intervals(sharing):

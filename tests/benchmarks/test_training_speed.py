@@ -124,6 +124,7 @@ def test_a_run_that_ends_is_followed_by_another(speed, tiny):
     runner.close()
 
 
+@pytest.mark.slow
 def test_comparison_with_the_reference(speed, tiny, fake_evogym, capsys):
     (row,) = rows_of(speed, replace(tiny, against_evogym=fake_evogym, reference_threads=1), capsys)
     assert len(row["pairs"]) == 3

@@ -2,11 +2,10 @@
 
 from dataclasses import dataclass
 
-import gymnasium
 import pytest
 
-from evogymcm.envs import Task, register_task
-from evogymcm.envs import tasks as task_package
+from evogymcm.envs import Task
+from tests.registries import registered
 
 
 @dataclass(frozen=True)
@@ -25,12 +24,8 @@ class Sprint(Task):
 @pytest.fixture
 def sprint(tmp_path, monkeypatch):
     """The task's id, while it is registered; runs go to a folder of the test's own."""
-    before, before_gymnasium = dict(task_package._REGISTRY), dict(gymnasium.registry)
-    observes = ("velocity", "orientation", "relative")
-    register_task(Sprint("Sprint-v0", world="Walker-v0", spawn=(1, 1), time_limit=12, observes=observes))
     monkeypatch.chdir(tmp_path)
-    yield "Sprint-v0"
-    task_package._REGISTRY.clear()
-    task_package._REGISTRY.update(before)
-    gymnasium.registry.clear()
-    gymnasium.registry.update(before_gymnasium)
+    observes = ("velocity", "orientation", "relative")
+    task = Sprint("Sprint-v0", world="Walker-v0", spawn=(1, 1), time_limit=12, observes=observes)
+    with registered(task) as name:
+        yield name

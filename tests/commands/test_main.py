@@ -1,5 +1,7 @@
 """The command line as a whole: help, errors, what it loads, completion."""
 
+import contextlib
+import io
 import shutil
 import subprocess
 import sys
@@ -94,6 +96,16 @@ def test_output_may_be_cut_short():
     assert done.stdout.splitlines()[-1] in {"0", "141"}  # by how fast `head` is
 
 
+@pytest.fixture(scope="module")
+def bash_script(tmp_path_factory):
+    """The script that completes commands, as a file."""
+    script, printed = tmp_path_factory.mktemp("completion") / "evogymcm.bash", io.StringIO()
+    with contextlib.redirect_stdout(printed), pytest.raises(SystemExit):
+        main(["--print-completion", "bash"])
+    script.write_text(printed.getvalue(), encoding="utf-8")
+    return script
+
+
 @pytest.mark.skipif(shutil.which("bash") is None, reason="needs bash")
 @pytest.mark.parametrize(
     ("typed", "offered"),
@@ -106,11 +118,9 @@ def test_output_may_be_cut_short():
         ("evogymcm tasks --l", "--long"),
     ],
 )
-def test_bash_completes(capsys, tmp_path, typed, offered):
-    script = tmp_path / "evogymcm.bash"
-    script.write_text(shown(capsys, "--print-completion", "bash"), encoding="utf-8")
+def test_bash_completes(bash_script, typed, offered):
     words = " ".join(typed.split())
-    code = f"source {script}; COMP_WORDS=({words}); COMP_CWORD=$((${{#COMP_WORDS[@]}} - 1)); "
+    code = f"source {bash_script}; COMP_WORDS=({words}); COMP_CWORD=$((${{#COMP_WORDS[@]}} - 1)); "
     code += "_tyro_evogymcm; echo ${COMPREPLY[@]}"
     done = subprocess.run(["bash", "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.split() == [offered]

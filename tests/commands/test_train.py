@@ -37,7 +37,6 @@ def test_a_run_from_end_to_end(sprint, capsys, tmp_path):
     assert config["ppo"]["total_steps"] == 64
 
     env = SoftRobotEnv(sprint, BODY, 1, material="reactive", num_threads=1)
-    torch.set_num_threads(1)
     alone = evaluate(load_actor(RunFolder(run, config, resume=True).load("final")), env)
     assert number(out, "score") == pytest.approx(alone.score[0], abs=6e-4)
     assert f"of at most {alone.ceiling[0]:.2f}" in out
@@ -50,7 +49,7 @@ def test_a_run_from_end_to_end(sprint, capsys, tmp_path):
     assert result["final"]["score"] == alone.score[0] == scores[-1]
     assert "64.0/64.0" in err
     assert "env-steps/s" in err
-    assert "evogymcm watch Sprint-v0 --policy runs/Sprint-v0-reactive-seed0" in out
+    assert "evogymcm watch --policy runs/Sprint-v0-reactive-seed0" in out
     assert "evogymcm report runs/Sprint-v0-reactive-seed0" in out
 
 
@@ -153,6 +152,8 @@ def test_several_bodies_with_fields_of_their_own(sprint, sharing, capsys):
     assert watched == shown
     assert main(["watch", sprint, "--policy", "run", "--stiffness", "1", *size]) == 0
     assert [float(text) for text in re.findall(r"score (\S+)", capsys.readouterr().out)] != shown
+    assert main(["watch", "--policy", "run/final.pt", *size]) == 0
+    assert [float(text) for text in re.findall(r"score (\S+)", capsys.readouterr().out)] == shown
     if sharing == "independent":
         assert "one for each of 2 bodies" in refused(capsys, "watch", sprint, "--policy", "run", "--body", BODY, *size)
 
@@ -172,11 +173,24 @@ def test_watch_plays_other_networks(sprint, options, capsys):
         assert main(larger) == 0
 
 
-def test_watch_refuses_a_task_with_other_features(sprint, capsys):
+def test_watch_refuses_what_cannot_be_played(sprint, capsys):
     pytest.importorskip("matplotlib")
     main(["train", sprint, "--body", BODY, *TINY, "--run", "run"])
     capsys.readouterr()
     assert "task features" in refused(capsys, "watch", "Lifter-v0", "--policy", "run", "--out", "run.png")
+    Path("alone.pt").write_bytes(Path("run/final.pt").read_bytes())
+    for wrong, message in [
+        ([], "TASK: needed"),
+        (["--policy", "alone.pt"], "does not say on which one"),
+        (["--policy", "alone.pt", sprint], "--body"),
+        (["--policy", "run/checkpoint.pt"], "holds no policy"),
+        (["--policy", "run/config.json"], "cannot be read"),
+        (["--policy", "run", "--out", "run.jpg"], ".png, .mp4, .gif"),
+        (["--policy", "run", "--out", "missing/run.png"], "missing does not exist"),
+        (["--policy", "run", "--every", "0"], "every"),
+    ]:
+        assert message in refused(capsys, "watch", *wrong)
+    assert main(["watch", sprint, "--policy", "alone.pt", "--body", BODY, "--out", "run.png"]) == 0
 
 
 def test_stiffness_is_read_as_it_is_written():

@@ -3,19 +3,19 @@
 import json
 from dataclasses import asdict, dataclass, replace
 from functools import partial
+from itertools import product
 
 import numpy as np
 import pytest
-import torch
 
-import evogymcm as cm
 from evogymcm.algos import BodyPPOConfig, PPOConfig, RunFolder, train
 from evogymcm.algos.codesign import CodesignConfig, SearchConfig, codesign
 from evogymcm.envs import SoftRobotEnv, Task
+from tests.registries import registered
 
 PPO = PPOConfig(total_steps=64, num_worlds=4, rollout_steps=8, epochs=1, minibatch=16, hidden=8, eval_interval=32)
 TINY = CodesignConfig(
-    task="Dart-v0", shape=(2, 3), population=3, budget=6, finetune_steps=32, search=SearchConfig(rounds=3),
+    task="Dart-v0", shape=(2, 3), population=4, budget=6, finetune_steps=32, search=SearchConfig(rounds=3),
     ppo=BodyPPOConfig(
         total_steps=64, num_worlds=4, rollout_steps=8, epochs=1, minibatch=16, hidden=8, eval_interval=32
     ),
@@ -31,28 +31,25 @@ class Dart(Task):
         return after.x - before.x
 
 
-if "Dart-v0" not in cm.tasks:
-    observes = ("velocity", "orientation", "relative")
-    cm.register_task(Dart("Dart-v0", world="Walker-v0", spawn=(1, 1), time_limit=20, observes=observes))
+DART = Dart("Dart-v0", world="Walker-v0", spawn=(1, 1), time_limit=8, observes=("velocity", "orientation", "relative"))
 
 
-@pytest.fixture(autouse=True, scope="session")
-def _one_thread():
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(before)
+@pytest.fixture(autouse=True, scope="module")
+def _dart():
+    """The task of the runs, which the fixtures of the whole session register for themselves."""
+    with registered(DART):
+        yield
 
 
 @pytest.fixture(scope="session")
 def training(tmp_path_factory):
     """A folder of four training runs: two arms, two seeds."""
     folder = tmp_path_factory.mktemp("training")
-    for arm in ("invariant", "reactive"):
-        for seed in range(2):
-            ppo = replace(PPO, seed=seed)
-            config = {"task": "Dart-v0", "material": arm, "bodies": [BODY], "ppo": asdict(ppo)}
-            make_env = partial(SoftRobotEnv, "Dart-v0", bodies=BODY, material=arm, num_threads=1)
+    for arm, seed in product(("invariant", "reactive"), range(2)):
+        ppo = replace(PPO, seed=seed)
+        config = {"task": "Dart-v0", "material": arm, "bodies": [BODY], "ppo": asdict(ppo)}
+        make_env = partial(SoftRobotEnv, "Dart-v0", bodies=BODY, material=arm, num_threads=1)
+        with registered(DART):
             train(make_env, ppo, run=RunFolder(folder / f"{arm}-{seed}", config))
     return folder
 
@@ -63,7 +60,8 @@ def evolved(tmp_path_factory):
     folder = tmp_path_factory.mktemp("evolved")
     for arm, seed in (("reactive", 0), ("invariant", 0), ("invariant", 1)):
         config = replace(TINY, arm=arm, seed=seed)
-        codesign(config, run=RunFolder(folder / f"{arm}-{seed}", asdict(config)))
+        with registered(DART):
+            codesign(config, run=RunFolder(folder / f"{arm}-{seed}", asdict(config)))
     return folder
 
 

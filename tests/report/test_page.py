@@ -12,6 +12,7 @@ import pytest
 
 from evogymcm.__main__ import main
 from evogymcm.commands import report as command
+from evogymcm.commands._errors import UsageError
 from evogymcm.report import make_report, write_report
 from evogymcm.report.animations import gif_uri
 from evogymcm.report.figures import codesign_curves, learning_curves
@@ -68,7 +69,7 @@ def test_real_runs_side_by_side(training, evolved, signals):
     ]  # fmt: skip
     text = text_of(page)
     assert "Not recorded with these runs: hardware, processes, versions, commit." in text
-    assert "64 env-steps for each body, at most 6 bodies in generations of 3" in text
+    assert "64 env-steps for each body, at most 6 bodies in generations of 4" in text
     gifs = [base64.b64decode(found) for found in GIF.findall(page)]
     assert len(gifs) == 4
     assert all(gif.startswith(b"GIF8") and len(gif) <= 400_000 for gif in gifs)
@@ -195,10 +196,12 @@ def test_the_command(suite, tmp_path, capsys, monkeypatch):
     assert run_command(suite, "--out", out, "--no-animations") == 0
     assert f"wrote {out}" in capsys.readouterr().out
     assert "in motion" not in out.read_text()
-    with pytest.raises(ValueError, match="--overwrite"):
+    with pytest.raises(UsageError, match="--overwrite"):
         run_command(suite, "--out", out)
     assert run_command(suite, "--out", out, "--overwrite", "--no-animations") == 0
-    monkeypatch.setitem(sys.modules, "plotly", None)
-    monkeypatch.setitem(sys.modules, "plotly.graph_objects", None)
-    assert run_command(suite, "--out", out, "--overwrite") == 2
-    assert "evogymcm[report]" in capsys.readouterr().err
+    for module in ("jinja2", "plotly.graph_objects"):
+        monkeypatch.setitem(sys.modules, module, None)
+        with pytest.raises(SystemExit) as stop:
+            main(["report", str(suite), "--out", str(out), "--overwrite"])
+        assert stop.value.code == 2
+        assert re.match(r"evogymcm: .*evogymcm\[report\]\n$", capsys.readouterr().err)

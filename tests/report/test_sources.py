@@ -2,11 +2,22 @@
 
 import json
 import shutil
+from dataclasses import asdict, replace
+from pathlib import Path
 
 import pytest
 
-from evogymcm.report.runs import CodesignRun, TrainingRun
+from evogymcm.algos import RunFolder
+from evogymcm.algos.codesign import Codesign, SearchConfig
+from evogymcm.report.runs import CodesignRun, TrainingRun, read_run
 from evogymcm.report.sources import make_arms, read_source, read_sources
+from tests.report.conftest import TINY
+
+RESULTS = sorted(
+    path
+    for path in (Path(__file__).resolve().parents[2] / "benchmarks" / "results").glob("*/results.json")
+    if "runs" in json.loads(path.read_text(encoding="utf-8"))
+)
 
 
 def test_a_training_run(training):
@@ -65,6 +76,53 @@ def test_a_suite_under_way_is_read_from_its_folders(evolved, tmp_path):
     assert (source.kind, source.planned, len(source.runs)) == ("experiment C", 4, 3)
 
 
+@pytest.mark.parametrize("folder", [path.parent for path in RESULTS], ids=lambda path: path.name)
+def test_results_of_the_repository_are_shown_whole(folder):
+    recorded = json.loads((folder / "results.json").read_text())
+    source = read_source(folder)
+    assert len(source.runs) == len(recorded["runs"])
+    assert [run.finished for run in source.runs].count(True) == [run["finished"] for run in recorded["runs"]].count(
+        True
+    )
+    arms = make_arms([source])
+    assert sorted(id(run) for arm in arms for run in arm.runs) == sorted(map(id, source.runs))
+    assert len({arm.label for arm in arms}) == len(arms)
+    if folder.name == "contexts":
+        assert (source.kind, source.planned) == ("comparison", 20)
+        assert [(arm.label, len(arm.runs)) for arm in arms] == [
+            (variant, 4) for variant in ("none", "body", "message", "attention", "mlp")
+        ]
+
+
+@pytest.mark.parametrize("method", ["ga", "random", "qd"])
+def test_co_design_is_finished_when_it_is(tmp_path, method):
+    if method == "qd":
+        pytest.importorskip("ribs")
+    short = replace(TINY.ppo, total_steps=32, eval_interval=0)
+    config = replace(TINY, arm="invariant", method=method, budget=4, search=SearchConfig(rounds=1), ppo=short)
+    state, seen = Codesign(config, RunFolder(tmp_path / "run", asdict(config))), []
+    while not state.is_finished:
+        assert state.advance()
+        run = read_run(tmp_path / "run")
+        assert run.finished == state.is_finished
+        seen.append(run.bodies)
+    assert seen[-1] == 4
+    (tmp_path / "run" / "codesign.pt").write_bytes(b"nonsense")
+    with pytest.raises(ValueError, match="not the state of a co-design run"):
+        read_run(tmp_path / "run")
+
+
+def test_files_of_a_run_are_newer_than_what_an_earlier_sitting_said(training, tmp_path):
+    folder = tmp_path / "reactive-0"
+    shutil.copytree(training / "reactive-0", folder)
+    early = {"task": "Dart-v0", "seed": 0, "finished": False, "env_steps": 32, "train_seconds": 0.0, "final": None}
+    (folder / "result.json").write_text(json.dumps(early))
+    run, whole = read_run(folder), read_run(training / "reactive-0")
+    assert run == replace(whole, path=folder)
+    (folder / "result.json").write_text(json.dumps(early | {"finished": True, "final": {"score": 7.0}}))
+    assert read_run(folder, early).final == 7.0  # the folder's record is newer than the suite's
+
+
 def test_seeds_of_equal_settings_are_one_arm(training):
     arms = make_arms([read_source(training)])
     assert [(arm.label, len(arm.runs)) for arm in arms] == [("invariant", 2), ("reactive", 2)]
@@ -82,6 +140,13 @@ def test_the_same_seed_twice_and_other_settings_stay_apart(training, tmp_path):
     (tmp_path / "again" / "config.json").write_text(json.dumps(config))
     arms = make_arms(read_sources([training / "reactive-0", tmp_path / "again"]))
     assert [len(arm.runs) for arm in arms] == [1, 1]
+
+
+def test_the_same_run_twice_in_one_folder_is_not_two_seeds(training, tmp_path):
+    for name in ("one", "two"):
+        shutil.copytree(training / "reactive-0", tmp_path / name)
+    arms = make_arms([read_source(tmp_path, "both")])
+    assert [(arm.label, len(arm.runs)) for arm in arms] == [("reactive (both/one)", 1), ("reactive (both/two)", 1)]
 
 
 def test_equal_folder_names_are_told_apart(training, tmp_path):
@@ -107,4 +172,7 @@ def test_what_cannot_be_used_is_refused(training, tmp_path):
         read_source(tmp_path)
     (tmp_path / "config.json").write_text("{")
     with pytest.raises(ValueError, match="not JSON"):
+        read_source(tmp_path)
+    (tmp_path / "config.json").write_text("[1]")
+    with pytest.raises(ValueError, match="got list, expected a JSON object"):
         read_source(tmp_path)

@@ -1,0 +1,29 @@
+"""Tasks of the tests' own, which other tests must not see: some walk the registries."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import gymnasium
+
+from evogymcm.envs import register_task
+from evogymcm.envs import tasks as task_package
+
+
+@contextmanager
+def own_registries() -> Iterator[None]:
+    """Puts back what is registered, here and with Gymnasium, as it was before."""
+    kept = [(registry, dict(registry)) for registry in (task_package._REGISTRY, gymnasium.registry)]
+    try:
+        yield
+    finally:
+        for registry, before in kept:
+            registry.clear()
+            registry.update(before)
+
+
+@contextmanager
+def registered(task) -> Iterator[str]:
+    """Registers a task for a while, and gives its id."""
+    with own_registries():
+        register_task(task)
+        yield task.id
