@@ -16,9 +16,9 @@ from torchrl.envs import GymEnv
 
 import evogymcm as cm
 from evogymcm.envs import GymnasiumEnv, GymnasiumVectorEnv
-from evogymcm.envs import tasks as task_package
 from evogymcm.sim.constants import Physics
 from tests.envs.tools import PAPER_ROBOTS, SMALL, TALL, WIDE, make_engine, random_actions
+from tests.registries import registered
 
 pytestmark = pytest.mark.filterwarnings("error:.*is out of date:DeprecationWarning")  # v0 and v1 are different tasks
 
@@ -158,9 +158,8 @@ def test_points_and_velocities():
 @pytest.fixture
 def short_task():
     """A task of one's own whose episodes have four env-steps."""
-    task = cm.register_task(replace(cm.tasks["Walker-v0"], id="Short-v0", time_limit=4))
-    yield task
-    del task_package._REGISTRY[task.id], gymnasium.registry[f"evogymcm/{task.id}"]
+    with registered(replace(cm.tasks["Walker-v0"], id="Short-v0", time_limit=4)) as name:
+        yield cm.tasks[name]
 
 
 def steps_to_truncation(env, most=8):
