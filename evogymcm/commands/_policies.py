@@ -107,9 +107,9 @@ def control_of(policy: Mapping[str, Any], engine: "TaskEngine") -> "Control":
     import numpy as np
     import torch
     from tensordict import TensorDict
-    from torchrl.envs.utils import ExplorationType, set_exploration_type
 
     from evogymcm.algos import PerDesign, load_actor
+    from evogymcm.algos.threads import exploration
 
     form, copies = policy["form"], policy["form"].get("copies")
     if form["network"] == "mlp":
@@ -139,7 +139,7 @@ def control_of(policy: Mapping[str, Any], engine: "TaskEngine") -> "Control":
         if engine.flat is not None:
             seen["observation"] = engine.flat
         td = TensorDict({key: torch.from_numpy(value) for key, value in seen.items()}, [engine.num_worlds])
-        with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
+        with torch.no_grad(), exploration(False):
             action = module(td)["action"]
         return action["actuation"].numpy(), action["stiffness"].numpy() if "stiffness" in actor.ranges else None
 

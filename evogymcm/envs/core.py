@@ -290,6 +290,7 @@ class TaskEngine:
 
     def set_state(self, state: dict[str, Any]) -> None:
         """Takes up a state of an engine made with the same arguments."""
+        state = {"reached": np.zeros(self.num_worlds, bool)} | state  # which those of older releases lack
         for name in _STATE:
             setattr(self, name, np.array(state[name]))
         self.memory = {name: np.array(values) for name, values in state["memory"].items()}

@@ -123,12 +123,12 @@ def _stage(scene: Scene) -> tuple[Any, Any, str]:
 def _frames(env: Any, actor: Any) -> list[np.ndarray]:
     """Returns pictures of the episode's first env-steps under deterministic actions."""
     import torch
-    from torchrl.envs import ExplorationType, set_exploration_type
 
+    from evogymcm.algos.threads import exploration
     from evogymcm.envs.render import Renderer
 
     renderer = Renderer(env.engine, WIDTH, HEIGHT)
-    with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
+    with torch.no_grad(), exploration(False):
         state = env.reset()
         frames = [renderer.frame()]
         for step in range(1, STEPS + 1):

@@ -13,6 +13,7 @@ import torch
 from evogymcm import Body, as_body
 from evogymcm.__main__ import main
 from evogymcm.algos import RunFolder, evaluate, load_actor
+from evogymcm.algos.threads import exploration
 from evogymcm.commands import _options
 from evogymcm.commands._options import read_stiffness, write_stiffness
 from evogymcm.envs import SoftRobotEnv
@@ -68,6 +69,9 @@ def test_an_existing_run_is_refused_resumed_or_replaced(sprint, capsys, tmp_path
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "note").touch()
     assert "not a run folder" in refused(capsys, *command[:-1], "other", "--overwrite")
+    with RunFolder("first", json.loads(Path("first/config.json").read_text()), resume=True).lock():
+        for flag in ("--resume", "--overwrite"):
+            assert "first is in use" in refused(capsys, *command, flag)
 
 
 def test_a_stopped_run_goes_on_to_the_same_policy(sprint, capsys, monkeypatch):
@@ -164,7 +168,8 @@ def test_watch_plays_other_networks(sprint, options, capsys):
     main(["train", sprint, "--body", BODY, *TINY, *options, "--run", "run"])
     score = number(capsys.readouterr().out, "score")
     size = ["--width", "64", "--height", "32", "--out", "run.png"]
-    assert main(["watch", sprint, "--policy", "run", *size]) == 0
+    with exploration(True):  # of whoever calls
+        assert main(["watch", sprint, "--policy", "run", *size]) == 0
     assert f"score {score:.3f}" in capsys.readouterr().out
     larger = ["watch", sprint, "--policy", "run", "--body", "HHHH/V..V/V..V", *size]
     if "mlp" in options:
@@ -232,7 +237,8 @@ def test_bodies_and_worlds_come_from_files(capsys, tmp_path, monkeypatch):
     run = tmp_path / "runs" / "hills-reactive-seed0"
     config = json.loads((run / "config.json").read_text())
     assert (config["task"], config["bodies"]) == ("hills.json", [robot.text])  # its own, as rows
-    assert main([*shown, "--policy", str(run), "hills.json"]) == 0
+    for task in ([], ["hills.json"], ["--world", "hills.json"]):
+        assert main([*shown, "--policy", str(run), *task]) == 0
     assert (
         main(["train", "Walker-v0", "--body", "17.npz", "slit.npz", *TINY, "--eval-interval", "0", "--run", "two"]) == 0
     )

@@ -11,10 +11,11 @@ import numpy as np
 import pytest
 
 from evogymcm.__main__ import main
+from evogymcm.algos.threads import exploration
 from evogymcm.commands import report as command
 from evogymcm.commands._errors import UsageError
 from evogymcm.report import make_report, write_report
-from evogymcm.report.animations import gif_uri
+from evogymcm.report.animations import choose_scenes, gif_uri, play
 from evogymcm.report.figures import codesign_curves, learning_curves
 from evogymcm.report.sources import make_arms, read_source
 
@@ -75,6 +76,14 @@ def test_real_runs_side_by_side(training, evolved, signals):
     assert all(gif.startswith(b"GIF8") and len(gif) <= 400_000 for gif in gifs)
     body = page[page.index("<body>") :]
     assert body.count('class="plotly-graph-div"') == body.count("Plotly.newPlot(") == 7
+
+
+def test_animations_show_what_a_policy_would_do_without_noise(training):
+    pytest.importorskip("pygame")
+    scene = choose_scenes(make_arms([read_source(training)]))[0][0]
+    with exploration(True):  # of whoever calls
+        shown = play(scene)
+    assert shown == play(scene)
 
 
 def test_best_score_of_co_design_is_a_mean_of_steps(evolved):
