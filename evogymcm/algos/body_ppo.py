@@ -20,7 +20,7 @@ class BodyPPOConfig(PPOConfig):
         minibatch: env-steps of one body in a gradient step.
         eval_interval: env-steps of one body between evaluations; 0 for only the untrained and the final policy.
         sharing: "independent" (each body has a policy of its own) or "shared" (bodies that train together have one).
-        eval_worlds: None, as each body is evaluated in one world.
+        eval_worlds: None: each body is evaluated in one world, or 8 where the task draws at random.
 
     Raises:
         ValueError: A value is of the wrong kind or out of range.
@@ -35,12 +35,12 @@ class BodyPPOConfig(PPOConfig):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.eval_worlds is not None:
-            raise ValueError(f"eval_worlds: got {self.eval_worlds}, each body is evaluated in one world (None)")
+            raise ValueError(f"eval_worlds: got {self.eval_worlds}, the bodies and the task say how many (None)")
 
     def of_bodies(self, count: int) -> PPOConfig:
         """Returns the settings of the run in which so many bodies train together."""
         per_body = ("total_steps", "num_worlds", "eval_interval")
-        changes = {name: count * getattr(self, name) for name in per_body} | {"eval_worlds": count}
+        changes = {name: count * getattr(self, name) for name in per_body}
         if self.sharing == "shared":
             changes["minibatch"] = count * self.minibatch  # otherwise of each set of weights
         return PPOConfig(**asdict(self) | changes)

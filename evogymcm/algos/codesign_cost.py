@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 from evogymcm.algos.codesign_config import CodesignConfig
+from evogymcm.algos.evaluate import starts_of
 from evogymcm.algos.evolution import survivor_count
 from evogymcm.algos.ppo import PPOConfig
 from evogymcm.envs.tasks import as_task
@@ -47,13 +48,13 @@ def generations(config: CodesignConfig) -> Iterator[tuple[int, int]]:
         yield new, {"ga": survivors, "random": 0, "qd": new}[config.method]
 
 
-def _training(ppo: PPOConfig, bodies: int, limit: int) -> tuple[int, int]:
-    """Returns the env-steps of training so many bodies, and those of its evaluations and of scoring the results."""
+def _training(ppo: PPOConfig, bodies: int, evaluation: int) -> tuple[int, int]:
+    """Returns the env-steps of training so many bodies, and those of its evaluations."""
     frames = ppo.frames_per_update
     updates = -(-ppo.total_steps // frames)
     between = min(updates - 1, (updates - 1) * frames // ppo.eval_interval) if ppo.eval_interval else 0
     evaluations = between + 2  # those of the untrained and the final policy
-    return bodies * updates * frames, bodies * limit * evaluations
+    return bodies * updates * frames, bodies * evaluation * evaluations
 
 
 def cost_of(config: CodesignConfig) -> Cost:
@@ -62,22 +63,23 @@ def cost_of(config: CodesignConfig) -> Cost:
     Raises:
         ValueError: There is no such task.
     """
-    limit = as_task(config.task).time_limit
+    task = as_task(config.task)
+    evaluation = task.time_limit * starts_of(task)  # of one body
     halving = config.halving()
     training = scoring = screening = search = finetuning = 0
     for generation, (new, survivors) in enumerate(generations(config)):
         going = new
         if config.mutants > 1 and generation:
-            screening += new * config.mutants * limit
-        scoring += new * limit
+            screening += new * config.mutants * evaluation
+        scoring += new * evaluation
         for rung, (begin, end) in enumerate(pairwise((0.0, *halving.rungs, 1.0))):
             share = replace(config.ppo, total_steps=max(1, round(config.ppo.total_steps * (end - begin))))
-            steps, evaluations = _training(share, going, limit)
+            steps, evaluations = _training(share, going, evaluation)
             training, scoring = training + steps, scoring + evaluations
             if rung < len(halving.rungs):
                 going = halving.count(rung, going)
         if config.arm == "invariant" and survivors:
-            search += config.search.rounds * (config.search.candidates + 1) * survivors * limit
-            steps, evaluations = _training(config.finetuning(), survivors, limit)
-            finetuning, scoring = finetuning + steps, scoring + evaluations + survivors * limit
+            search += config.search.rounds * (config.search.candidates + 1) * survivors * evaluation
+            steps, evaluations = _training(config.finetuning(), survivors, evaluation)
+            finetuning, scoring = finetuning + steps, scoring + evaluations + survivors * evaluation
     return Cost(training, scoring, screening, search, finetuning)

@@ -12,7 +12,9 @@ from torchrl.envs import EnvBase
 from evogymcm.algos.threads import exploration
 from evogymcm.envs.task import Task
 
-__all__ = ["Evaluation", "draws_at_random", "evaluate"]
+__all__ = ["Evaluation", "evaluate", "starts_of"]
+
+_RANDOM_STARTS = 8
 
 
 @dataclass(frozen=True)
@@ -62,9 +64,9 @@ class Evaluation:
         return {name: np.asarray(values).tolist() for name, values in asdict(self).items()}
 
 
-def draws_at_random(env: EnvBase) -> bool:
-    """Returns whether the episodes of an environment's task differ by what they draw at random."""
-    return getattr(type(env.task), "draw", Task.draw) is not Task.draw
+def starts_of(task: object) -> int:
+    """Returns how many episodes tell what a policy is worth: one, or several where they differ by random draws."""
+    return 1 if getattr(type(task), "draw", Task.draw) is Task.draw else _RANDOM_STARTS
 
 
 @torch.no_grad()

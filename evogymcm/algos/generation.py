@@ -17,7 +17,7 @@ from torchrl.envs import EnvBase
 from evogymcm.algos.actor import Actor, load_actor
 from evogymcm.algos.body_ppo import BodyPPOConfig, check_body_ppo
 from evogymcm.algos.design_search import Design, Individual
-from evogymcm.algos.evaluate import Evaluation, evaluate
+from evogymcm.algos.evaluate import evaluate, starts_of
 from evogymcm.algos.material_search import MaterialSearch
 from evogymcm.algos.runs import RunFolder
 from evogymcm.algos.settings import check_choice, check_count
@@ -26,6 +26,7 @@ from evogymcm.algos.threads import limited_threads
 from evogymcm.algos.training import Progress, TrainResult, train
 from evogymcm.envs import SoftRobotEnv
 from evogymcm.envs.designs import MATERIALS
+from evogymcm.envs.tasks import as_task
 from evogymcm.sim.scene import EDGE_RULES
 
 __all__ = [
@@ -86,11 +87,38 @@ class Arena:
             num_threads=self.num_threads,
         )
 
-    def make_alike(self, designs: Sequence[Design], seed: int = 0) -> SoftRobotEnv:
-        """Returns one world of each design, which all draw the same where a task's resets are random."""
-        env = self.make(designs)
-        env.engine.set_seed([seed] * len(designs))
-        return env
+    def score(
+        self, designs: Sequence[Design], make_policy: Callable[[SoftRobotEnv], TensorDictModuleBase], seed: int
+    ) -> "Scores":
+        """Plays an episode of each design, or several where resets are random, in which all designs draw the same."""
+        starts = starts_of(as_task(self.task))
+        env = self.make(designs, starts)
+        try:
+            env.engine.set_seed([seed + world // len(designs) for world in range(env.engine.num_worlds)])
+            with limited_threads(1):
+                result = evaluate(make_policy(env), env)
+        finally:
+            env.close(raise_if_closed=False)
+        parts = (result.score, result.returns, result.ceiling)
+        score, returns, ceiling = (_mean(part.reshape(starts, -1)) for part in parts)
+        return Scores(score, returns, ceiling, result.env_steps)
+
+
+@dataclass(frozen=True)
+class Scores:
+    """What designs are worth under their policies, as means over episodes where resets are random.
+
+    Attributes:
+        score: (D,) as the EvoGymCM paper counts, see `Evaluation`.
+        returns: (D,) sums of all rewards.
+        ceiling: (D,) largest possible scores where the task has one, NaN where it has none.
+        env_steps: simulated in all.
+    """
+
+    score: np.ndarray
+    returns: np.ndarray
+    ceiling: np.ndarray
+    env_steps: int
 
 
 @dataclass(frozen=True)
@@ -110,6 +138,14 @@ class Trained:
     scores: np.ndarray
     env_steps: int
     finished: bool
+
+
+def _mean(rows: np.ndarray) -> np.ndarray:
+    """Returns the mean row, summed row by row: NumPy's order of summation depends on how many columns there are."""
+    total = rows[0].copy()
+    for row in rows[1:]:
+        total += row
+    return total / len(rows)
 
 
 def train_designs(
@@ -192,7 +228,7 @@ def _apart(result: TrainResult, n: int) -> Trained:
 
 
 class _OneByOne(TensorDictModuleBase):
-    """Policies of single worlds, each asked by itself: its action does not depend on who stands beside it.
+    """Policies of D designs, dealt to the worlds in turn. Each world is asked by itself, whoever stands beside it.
 
     A batched matrix product may round a row differently with the number of rows, and contact makes much of little.
     """
@@ -205,7 +241,8 @@ class _OneByOne(TensorDictModuleBase):
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Writes the actions into `tensordict` (N,) and returns it."""
         rows = tensordict.select(*self.in_keys)
-        out = [actor(rows[i : i + 1]) for i, actor in enumerate(self.actors)]
+        n = len(self.actors)
+        out = [self.actors[i % n](rows[i : i + 1]) for i in range(rows.shape[0])]
         for key in self.out_keys:
             tensordict.set(key, torch.cat([row.get(key) for row in out]))
         return tensordict
@@ -218,28 +255,26 @@ def _actors(policies: Sequence[Policy], columns: int) -> list[Actor]:
     return actors
 
 
-def score_alone(arena: Arena, designs: Sequence[Design], policies: Sequence[Policy], seed: int = 0) -> Evaluation:
+def score_alone(arena: Arena, designs: Sequence[Design], policies: Sequence[Policy], seed: int = 0) -> Scores:
     """Scores each design under its policy, exactly as if it were alone: always the same to the last bit.
 
     Args:
         arena: where.
         designs: D designs.
         policies: D policies.
-        seed: of tasks with random resets; each design is played from the same reset.
+        seed: of tasks with random resets, from which the seeds of several episodes count up; the same for all designs.
 
     Raises:
         ValueError: There are not as many policies as designs.
     """
     if len(policies) != len(designs):
         raise ValueError(f"policies: got {len(policies)}, expected one for each of {len(designs)} designs")
-    env = arena.make_alike(designs, seed)
-    with limited_threads(1):
-        return evaluate(_OneByOne(_actors(policies, env.grid_shape[1])), env)
+    return arena.score(designs, lambda env: _OneByOne(_actors(policies, env.grid_shape[1])), seed)
 
 
 def score_together(
     arena: Arena, designs: Sequence[Design], policies: Sequence[Policy], copies: int, seed: int = 0
-) -> Evaluation:
+) -> Scores:
     """Scores `copies` designs under each policy in one batch: fast, and the same as `score_alone` but for rounding.
 
     Args:
@@ -247,18 +282,20 @@ def score_together(
         designs: `copies` of each policy; design i is under policy i % P.
         policies: P policies.
         copies: designs of each policy.
-        seed: of tasks with random resets; each design is played from the same reset.
+        seed: of tasks with random resets, from which the seeds of several episodes count up; the same for all designs.
 
     Raises:
         ValueError: There are not `copies` designs of each policy.
     """
     if copies * len(policies) != len(designs):
         raise ValueError(f"policies: got {len(policies)}, expected 1 for {copies} each of {len(designs)} designs")
-    env = arena.make_alike(designs, seed)
-    actor = load_actor(_together(policies, "independent"))
-    actor.columns = env.grid_shape[1]
-    with limited_threads(1):
-        return evaluate(PerDesign(actor, len(policies)), env)
+
+    def make_policy(env: SoftRobotEnv) -> PerDesign:
+        actor = load_actor(_together(policies, "independent"))
+        actor.columns = env.grid_shape[1]
+        return PerDesign(actor, len(policies))
+
+    return arena.score(designs, make_policy, seed)
 
 
 def score_mutants(

@@ -13,14 +13,12 @@ from torchrl.envs import EnvBase
 
 from evogymcm.algos.actor import make_actor
 from evogymcm.algos.critic import make_critic
-from evogymcm.algos.evaluate import Evaluation, draws_at_random, evaluate
+from evogymcm.algos.evaluate import Evaluation, evaluate, starts_of
 from evogymcm.algos.ppo import PPOConfig, PPOLearner
 from evogymcm.algos.sharing import PerDesign, by_design, stack_states
 from evogymcm.algos.threads import exploration, limited_threads
 
 __all__ = ["EnvFactory", "Trainer"]
-
-_RANDOM_STARTS = 8  # worlds of each design in an evaluation, where episodes differ
 
 
 class EnvFactory(Protocol):
@@ -93,7 +91,7 @@ class Trainer:
         """Makes the networks and what trains them."""
         config, copies = self.config, _copies(self.config, env)
         self.designs = env.num_designs
-        self._eval_worlds = config.eval_worlds or self.designs * (_RANDOM_STARTS if draws_at_random(env) else 1)
+        self._eval_worlds = config.eval_worlds or self.designs * starts_of(env.task)
         options: dict[str, Any] = {"network": config.network, "copies": copies, "generator": self.generator}
         with limited_threads(config.torch_threads):
             self.actor = make_actor(env, config.hidden, config.initial_std, context=config.context, **options)

@@ -3,15 +3,18 @@
 from dataclasses import replace
 from itertools import product
 
+import numpy as np
 import pytest
 import torch
 
 import evogymcm as cm
-from evogymcm.algos import BodyPPOConfig, RunFolder
+from evogymcm.algos import BodyPPOConfig, RunFolder, evaluate, load_actor
 from evogymcm.algos.codesign import CodesignConfig, SearchConfig, codesign
+from evogymcm.algos.codesign_cost import cost_of
 from evogymcm.algos.design_search import Design
 from evogymcm.algos.generation import Arena, score_alone, score_together, train_designs
 from tests.algos.test_codesign import TINY, told
+from tests.registries import registered
 
 PPO = BodyPPOConfig(total_steps=32, num_worlds=2, rollout_steps=8, epochs=1, minibatch=16, hidden=4, eval_interval=0)
 QUICK = CodesignConfig(
@@ -25,10 +28,15 @@ METHODS = {
     "halving": {"method": "ga", "rungs": (0.5,), "keep": (0.5,)},
 }
 
-if "Zigzag-v0" not in cm.tasks:
+if "Blink-v0" not in cm.tasks:
     cm.register_task(replace(cm.tasks["Dash-v0"], id="Blink-v0", time_limit=5))
-    # Its goals are drawn at reset.
-    cm.register_task(replace(cm.tasks["BidirectionalWalker-v0"], id="Zigzag-v0", time_limit=12))
+
+
+@pytest.fixture
+def zigzag():
+    """A task whose goals are drawn at reset, while it is registered."""
+    with registered(replace(cm.tasks["BidirectionalWalker-v0"], id="Zigzag-v0", time_limit=12)) as name:
+        yield name
 
 
 def ways():
@@ -95,12 +103,31 @@ def test_a_shared_policy_cannot_start_from_several():
     assert train_designs(arena, designs, shared, start_from=[apart[0], dict(apart[0])]).finished
 
 
-def test_scores_do_not_depend_on_who_stands_beside_where_resets_are_random():
-    arena = Arena("Zigzag-v0", "invariant")
+def test_scores_do_not_depend_on_who_stands_beside_where_resets_are_random(zigzag):
+    arena = Arena(zigzag, "invariant")
     designs = [Design(cm.Body("HVH/S.R"))] * 4
     policies = train_designs(arena, designs[:1], PPO).best * 4
-    scores = [score_alone(arena, designs, policies, seed).score for seed in range(8)]
+    scores = [score_alone(arena, designs, policies, seed).score for seed in range(4)]
     assert all(len(set(row.tolist())) == 1 for row in scores)
     assert len({row[0] for row in scores}) > 1  # the draws do matter
+    assert score_alone(arena, designs[:1], policies[:1]).score[0] == scores[0][0]
     together = score_together(arena, designs, policies[:1], 4, seed=3).score
     assert together == pytest.approx(scores[3], abs=1e-6)
+
+
+def test_scores_are_means_over_eight_draws_where_resets_are_random(zigzag):
+    arena, design = Arena(zigzag, "invariant"), Design(cm.Body("HVH/S.R"))
+    trained = train_designs(arena, [design], PPO)
+    result, single = score_alone(arena, [design], trained.best, seed=5), []
+    for seed in range(5, 13):
+        env = arena.make([design], seed=seed)
+        actor = load_actor(trained.best[0])
+        actor.columns = env.grid_shape[1]
+        single.append(evaluate(actor, env))
+    assert result.env_steps == 8 * 12
+    for mean, name in ((result.score, "score"), (result.returns, "returns")):
+        parts = [getattr(one, name)[0] for one in single]
+        assert len(set(parts)) > 1
+        assert mean[0] == pytest.approx(np.mean(parts), abs=1e-9)
+    config = replace(QUICK, task=zigzag, arm="fixed", inherit=True, mutants=2)
+    assert codesign(config).env_steps == cost_of(config).total

@@ -5,6 +5,7 @@ import re
 import shlex
 import signal
 from dataclasses import asdict, replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -76,6 +77,15 @@ def test_a_limit_in_env_steps_ends_the_run(sprint, capsys, tmp_path):
     assert json.loads((tmp_path / "run" / "result.json").read_text())["bodies"] == 3  # the first generation
 
 
+def test_a_file_of_a_world_is_a_task(capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("floor.txt").write_text("F" * 30)
+    run = Path("runs/floor-codesign-reactive-seed0")
+    run.mkdir(parents=True)
+    (run / "note").touch()
+    assert f"run: {run} exists and is not a run folder" in refused(capsys, "codesign", "floor.txt", *TINY)
+
+
 def test_nothing_is_touched_where_an_argument_is_bad(sprint, capsys, tmp_path):
     command = ["codesign", sprint, *TINY]
     for wrong, message in [
@@ -124,7 +134,7 @@ def test_the_same_wish_gives_the_same_settings(sprint, tmp_path):
     own = BodyPPOConfig(total_steps=50_000)  # a wish that says nothing of worlds and sharing
     assert (own.num_worlds, own.minibatch, own.eval_interval, own.sharing) == (16, 128, 10_000, "independent")
     three = own.of_bodies(3)
-    assert (three.total_steps, three.num_worlds, three.minibatch, three.eval_worlds) == (150_000, 48, 128, 3)
+    assert (three.total_steps, three.num_worlds, three.minibatch, three.eval_worlds) == (150_000, 48, 128, None)
     assert replace(own, sharing="shared").of_bodies(3).minibatch == 3 * 128
 
     main(["codesign", sprint, *TINY, "--run", "run"])  # and a run goes on from either
