@@ -1,5 +1,6 @@
 """Co-design: bookkeeping of its phases, exact scores, budgets, and resuming to the same result."""
 
+import threading
 from dataclasses import asdict, dataclass, replace
 
 import numpy as np
@@ -17,7 +18,7 @@ PPO = BodyPPOConfig(
     total_steps=256, num_worlds=8, rollout_steps=16, epochs=2, minibatch=32, hidden=8, eval_interval=128
 )  # fmt: skip
 TINY = CodesignConfig(
-    task="Dash-v0", shape=(2, 3), population=3, budget=6, ppo=PPO, search=SearchConfig(rounds=3), finetune_steps=128
+    task="Dash-v0", shape=(2, 3), population=4, budget=6, ppo=PPO, search=SearchConfig(rounds=3), finetune_steps=128
 )
 ARMS = ("reactive", "fixed", "invariant", "prescribed")
 
@@ -99,21 +100,24 @@ def test_fitness_of_survivors_never_falls():
 
 
 def test_prescribed_stiffness_is_simulated():
-    arms = [codesign(replace(TINY, arm="prescribed", prescribed=value, budget=3)) for value in (0.5, 1.0, 2.0)]
-    fixed = codesign(replace(TINY, arm="fixed", budget=3))
+    config = replace(TINY, population=3, budget=3)
+    arms = [codesign(replace(config, arm="prescribed", prescribed=value)) for value in (0.5, 1.0, 2.0)]
+    fixed = codesign(replace(config, arm="fixed"))
     scores = [[row["fitness"] for row in result.rows] for result in arms]
     assert scores[1] == [row["fitness"] for row in fixed.rows]
     assert scores[0] != scores[1] != scores[2]
 
 
 def test_scores_together_are_those_alone_but_for_rounding():
-    arena = Arena("Dash-v0", "invariant")
+    arena = Arena("Dash-v0", "invariant", num_threads=2)
     rng = np.random.default_rng(0)
     designs = [Design(cm.sample_body((2, 3), rng)) for _ in range(3)]
     trained = train_designs(arena, designs, PPO)
     fields = [Design(d.body, rng.uniform(0.5, 2.0, (2, 3))) for _ in range(2) for d in designs]
+    before = threading.enumerate()
     together = score_together(arena, fields, trained.best, 2).score
     alone = score_alone(arena, fields, trained.best * 2).score
+    assert threading.enumerate() == before  # the simulators' have ended
     np.testing.assert_allclose(together, alone, rtol=0, atol=1e-6)
 
 

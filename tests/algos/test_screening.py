@@ -156,7 +156,7 @@ SCREENING = replace(TINY, inherit=True, mutants=3)
     ["prescribed", pytest.param("reactive", marks=pytest.mark.slow), pytest.param("invariant", marks=pytest.mark.slow)],
 )
 def test_children_are_the_best_mutants_under_their_parents_controller(arm, tmp_path, monkeypatch):
-    config = replace(SCREENING, arm=arm, prescribed=1.5, budget=5, mutants=10)  # two blocks of mutants
+    config = replace(SCREENING, arm=arm, prescribed=1.5, population=3, budget=5, mutants=10)  # two blocks of mutants
     played = []
 
     def spy(arena, mutants, policies):
@@ -198,10 +198,11 @@ def test_mutants_are_scored_as_if_alone_but_for_rounding():
 
 
 def test_screening_is_counted():
-    plain, screened = (codesign(replace(TINY, inherit=True, mutants=mutants, arm="fixed")) for mutants in (1, 4))
+    config = replace(TINY, population=3, inherit=True, arm="fixed")
+    plain, screened = (codesign(replace(config, mutants=mutants)) for mutants in (1, 4))
     children = 3
     assert screened.env_steps - plain.env_steps == children * 4 * 8
-    cost = cost_of(replace(TINY, inherit=True, mutants=4, arm="fixed"))
+    cost = cost_of(replace(config, mutants=4))
     assert cost.screening == children * 4 * 8
     assert screened.env_steps == cost.total
 
@@ -216,8 +217,9 @@ def test_a_stopped_screening_goes_on_to_the_same_result(calls, tmp_path):
 
 
 def test_a_limit_of_env_steps_ends_no_run_between_screening_and_training():
-    one = codesign(replace(SCREENING, budget=3))
-    result = codesign(replace(SCREENING, max_env_steps=one.env_steps + 1))  # reached while screening
+    config = replace(SCREENING, population=3)
+    one = codesign(replace(config, budget=3))
+    result = codesign(replace(config, max_env_steps=one.env_steps + 1))  # reached while screening
     assert result.finished
     assert len(result.rows) == 4
 

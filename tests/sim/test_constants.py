@@ -120,6 +120,7 @@ for name in {LIMITS!r}:
 """
 
 
+@pytest.mark.slow
 def test_limits_on_lengths_are_held():
     environment = os.environ | {"NUMBA_DISABLE_JIT": "1", "PYTHONPATH": str(ROOT)}
     command = [sys.executable, "-c", LIMITS_CODE]

@@ -291,6 +291,7 @@ np.save(sys.argv[1], np.concatenate(all_points(sim)))
 """
 
 
+@pytest.mark.slow
 def test_kernels_work_without_the_jit(tmp_path):
     root = Path(__file__).resolve().parents[2]
     results = []
