@@ -11,7 +11,8 @@ import torch
 from evogymcm import Body, sample_body
 from evogymcm.algos import BodyPPOConfig, PPOConfig, RunFolder, make_actor
 from evogymcm.algos.designs import Design
-from evogymcm.algos.generation import Arena, Policy, Trained, score_alone, train_designs
+from evogymcm.algos.generation import Arena, Policy, Trained, train_designs
+from evogymcm.algos.scoring import score_alone
 from evogymcm.algos.threads import limited_threads
 from evogymcm.envs.tasks import as_task
 

@@ -17,18 +17,11 @@ from evogymcm.algos.body_ppo import BodyPPOConfig
 from evogymcm.algos.codesign_config import ARMS, CodesignConfig, SearchConfig
 from evogymcm.algos.design_search import Design, Individual
 from evogymcm.algos.evolution import GeneticAlgorithm
-from evogymcm.algos.generation import (
-    Policy,
-    Trained,
-    exploring,
-    score_alone,
-    score_mutants,
-    score_proposals,
-    train_designs,
-)
+from evogymcm.algos.generation import Policy, Trained, exploring, train_designs
 from evogymcm.algos.ledger import Ledger
 from evogymcm.algos.material_search import MaterialSearch
 from evogymcm.algos.runs import RunFolder, stop_on_interrupt
+from evogymcm.algos.scoring import score_alone, score_mutants, score_proposals
 from evogymcm.algos.seeding import derived_seed
 
 __all__ = ["ARMS", "Codesign", "CodesignConfig", "CodesignProgress", "CodesignResult", "SearchConfig", "codesign"]

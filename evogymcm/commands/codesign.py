@@ -155,7 +155,7 @@ def _print_best(config: "CodesignConfig", result: "CodesignResult", path: Path) 
     """Prints the best design with its score, had again in a fresh world."""
     import numpy as np
 
-    from evogymcm.algos.generation import score_alone
+    from evogymcm.algos.scoring import score_alone
 
     assert result.best is not None
     assert result.policy is not None

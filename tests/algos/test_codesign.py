@@ -11,7 +11,8 @@ import evogymcm as cm
 from evogymcm.algos import BodyPPOConfig, RunFolder
 from evogymcm.algos.codesign import CodesignConfig, SearchConfig, codesign
 from evogymcm.algos.design_search import Design
-from evogymcm.algos.generation import Arena, score_alone, score_together, train_designs
+from evogymcm.algos.generation import Arena, train_designs
+from evogymcm.algos.scoring import score_alone, score_together
 from evogymcm.envs import Task
 
 PPO = BodyPPOConfig(
@@ -74,7 +75,7 @@ def test_scores_and_returns_can_be_had_again_to_the_last_bit(arm, is_blurred, tm
             exact = score_together(*args)
             return replace(exact, score=exact.score + rng.normal(scale=0.01, size=exact.score.shape))
 
-        monkeypatch.setattr("evogymcm.algos.generation.score_together", blurred)
+        monkeypatch.setattr("evogymcm.algos.scoring.score_together", blurred)
         search = SearchConfig(rounds=4, candidates=4, probability=1.0, acceptance="paper")
         config = replace(config, search=search)
     run = RunFolder(tmp_path / "run", asdict(config))

@@ -12,7 +12,8 @@ from evogymcm.algos import BodyPPOConfig, RunFolder, evaluate, load_actor
 from evogymcm.algos.codesign import CodesignConfig, SearchConfig, codesign
 from evogymcm.algos.codesign_cost import cost_of
 from evogymcm.algos.design_search import Design
-from evogymcm.algos.generation import Arena, score_alone, score_together, train_designs
+from evogymcm.algos.generation import Arena, train_designs
+from evogymcm.algos.scoring import score_alone, score_together
 from tests.algos.test_codesign import TINY, told
 from tests.registries import registered
 

@@ -9,7 +9,8 @@ from evogymcm.algos import RunFolder
 from evogymcm.algos.codesign import codesign
 from evogymcm.algos.codesign_cost import cost_of
 from evogymcm.algos.evolution import GeneticAlgorithm, RandomSearch
-from evogymcm.algos.generation import Arena, score_alone, score_mutants, train_designs
+from evogymcm.algos.generation import Arena, train_designs
+from evogymcm.algos.scoring import score_alone, score_mutants
 from tests.algos.test_codesign import PPO, TINY, told
 from tests.algos.test_evolution import SHAPE, indices, play, voxels
 from tests.algos.tools import through_json
