@@ -165,8 +165,16 @@ def test_the_budget_of_env_steps_ends_a_run():
     assert result.rows[-1]["env_steps"] not in before  # it stopped with the phase that crossed the limit
 
 
-@pytest.mark.parametrize("arm", ["reactive", "invariant"])
-@pytest.mark.parametrize("calls", [pytest.param(1, marks=pytest.mark.slow), 5, pytest.param(9, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    ("arm", "calls"),  # in the first and the second training; in a search, and in fine-tuning
+    [
+        pytest.param("reactive", 1, marks=pytest.mark.slow),
+        ("reactive", 4),
+        pytest.param("invariant", 1, marks=pytest.mark.slow),
+        ("invariant", 5),
+        pytest.param("invariant", 8, marks=pytest.mark.slow),
+    ],
+)
 def test_a_stopped_run_goes_on_to_the_same_result(arm, calls, tmp_path):
     config = replace(TINY, arm=arm)
     whole, asked = codesign(config), iter(range(10**6))
