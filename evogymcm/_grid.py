@@ -1,6 +1,7 @@
 """Grids of cells, shared by bodies and worlds: codes, text form, validation, adjacency."""
 
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import TypeAlias
 
 import numpy as np
@@ -12,30 +13,48 @@ EMPTY, RIGID, SOFT, H_ACT, V_ACT, FIXED = range(6)
 CELL_CHARS = ".RSHVF"  # the character of a cell code is CELL_CHARS[code]
 BODY_CHARS = CELL_CHARS[:FIXED]  # fixed cells are for terrain
 
+_BITS = bytes.maketrans(b"\0\1", b"01")  # the bytes of booleans to digits
+
 Grid: TypeAlias = NDArray[np.int8]
 Connections: TypeAlias = NDArray[np.int64]
 
 
 def is_connected(grid: ArrayLike) -> bool:
     """Returns whether the occupied cells form one piece under side adjacency; the empty grid does not."""
-    cells = np.asarray(grid)
-    left_over = {(int(r), int(c)) for r, c in np.argwhere(cells != EMPTY)}
-    if not left_over:
+    occupied = np.asarray(grid) != EMPTY
+    rows, columns = occupied.shape
+    if not occupied.any():
         return False
-    frontier = [left_over.pop()]
-    while frontier:
-        r, c = frontier.pop()
-        for cell in ((r - 1, c), (r + 1, c), (r, c - 1), (r, c + 1)):
-            if cell in left_over:
-                left_over.remove(cell)
-                frontier.append(cell)
-    return not left_over
+    # The cells are bits of one number, the first one the highest: faster than arrays of so few numbers.
+    left_over, has_left = int(occupied.tobytes().translate(_BITS), 2), _has_left(rows, columns)
+    reached, grown = 0, left_over & -left_over
+    while grown != reached:
+        reached = grown
+        beside = (reached & has_left) << 1 | reached >> 1 & has_left | reached << columns | reached >> columns
+        grown |= beside & left_over
+    return reached == left_over
+
+
+@lru_cache(maxsize=64)
+def _has_left(rows: int, columns: int) -> int:
+    """Returns as bits the cells of a grid that have another one on their left."""
+    return int(("0" + "1" * (columns - 1)) * rows, 2)
 
 
 def has_actuator(grid: ArrayLike) -> bool:
     """Returns whether some cell is a horizontal or vertical actuator."""
     cells = np.asarray(grid)
-    return bool(np.any((cells == H_ACT) | (cells == V_ACT)))
+    return bool(((cells == H_ACT) | (cells == V_ACT)).any())
+
+
+@lru_cache(maxsize=64)
+def _adjacent(rows: int, columns: int) -> Connections:
+    """Returns all pairs of side-adjacent cells of a grid, (2, k), in the order of `full_connections`."""
+    first = np.repeat(np.arange(rows * columns), 2).reshape(rows, columns, 2)
+    second = first + np.array([1, columns])
+    is_cell = np.ones(first.shape, bool)
+    is_cell[:, -1:, 0] = is_cell[-1:, :, 1] = False
+    return np.stack([first[is_cell], second[is_cell]]).astype(np.int64)
 
 
 def full_connections(grid: ArrayLike) -> Connections:
@@ -44,13 +63,8 @@ def full_connections(grid: ArrayLike) -> Connections:
     Cells come in row-major order, each with its right neighbour first and its lower one second.
     """
     occupied = np.asarray(grid) != EMPTY
-    index = np.arange(occupied.size).reshape(occupied.shape)
-    right = occupied[:, :-1] & occupied[:, 1:]
-    below = occupied[:-1] & occupied[1:]
-    first = np.concatenate([index[:, :-1][right], index[:-1][below]])
-    second = np.concatenate([index[:, 1:][right], index[1:][below]])
-    order = np.lexsort((second, first))
-    return np.stack([first[order], second[order]]).astype(np.int64)
+    pairs = _adjacent(*occupied.shape)
+    return pairs.compress(occupied.ravel()[pairs].all(axis=0), axis=1)
 
 
 def check_connections(connections: ArrayLike, grid: ArrayLike) -> Connections:
@@ -67,7 +81,10 @@ def check_connections(connections: ArrayLike, grid: ArrayLike) -> Connections:
         pairs = np.empty((2, 0), np.int64)  # how EvoGym's own files write none
     if pairs.ndim != 2 or len(pairs) != 2 or not np.issubdtype(pairs.dtype, np.integer):
         raise ValueError(f"connections: got {pairs.dtype} of shape {pairs.shape}, expected integers of shape (2, k)")
-    allowed = {(int(a), int(b)) for a, b in full_connections(cells).T}
+    full = full_connections(cells)
+    if np.array_equal(pairs, full):
+        return full
+    allowed = {(a, b) for a, b in full.T.tolist()}
     given = {(min(a, b), max(a, b)) for a, b in pairs.T.tolist()}
     if wrong := sorted(given - allowed):
         raise ValueError(

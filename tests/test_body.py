@@ -203,6 +203,33 @@ def test_robots():
     assert len(robot_tasks) == 6
 
 
+def slow_is_connected(grid):
+    """The rule spelled out cell by cell."""
+    left_over = {(int(r), int(c)) for r, c in np.argwhere(grid)}
+    frontier = [left_over.pop()] if left_over else []
+    is_any = bool(frontier)
+    while frontier:
+        r, c = frontier.pop()
+        beside = {(r - 1, c), (r + 1, c), (r, c - 1), (r, c + 1)} & left_over
+        left_over -= beside
+        frontier += beside
+    return is_any and not left_over
+
+
+def test_connectedness_follows_the_rule():
+    rng = np.random.default_rng(0)
+    found = []
+    for i in range(600):
+        grid = rng.integers(0, 5, rng.integers(1, 9, 2)) * (rng.random() > rng.random() * (i % 4 > 0))
+        found.append(slow_is_connected(grid))
+        assert is_connected(grid if i % 2 else grid.astype(float)) == found[-1], grid
+    assert 50 < sum(found) < 550
+    snake = np.array([[1] * 9, [0] * 8 + [1], [1] * 9, [1] + [0] * 8, [1] * 9])
+    assert is_connected(snake)
+    snake[3, 0] = 0
+    assert not is_connected(snake)
+
+
 def test_validity():
     assert is_connected([[0, 1], [1, 1]])
     assert not is_connected([[1, 0], [0, 1]])

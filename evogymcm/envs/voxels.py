@@ -10,7 +10,7 @@ row and column, from -1 to 1). Cells without a voxel hold zeros.
 
 import numpy as np
 
-from evogymcm.body import Body
+from evogymcm.body import EMPTY, Body
 from evogymcm.sim import lanes
 from evogymcm.sim._jit import kernel
 from evogymcm.sim.constants import MISSING
@@ -25,31 +25,29 @@ STIFFNESS = VELOCITIES + 8
 ACTUATION = STIFFNESS + 1
 PLACE = ACTUATION + 1
 N_FEATURES = PLACE + 2
-_SIDES = ((0, 0), (-1, 0), (0, 1), (1, 0), (0, -1))  # itself, above, right, below, left: rows, columns
-N_SIDES = len(_SIDES)
+# Rows and columns from a voxel's place in a grid with a margin of one cell: itself, above, right, below, left.
+_STEPS = 1 + np.array([[0, -1, 0, 1, 0], [0, 0, 1, 0, -1]])
+N_SIDES = _STEPS.shape[1]
 
 
 def voxel_types(body: Body, topology: Topology, grid_shape: tuple[int, int]) -> np.ndarray:
     """Returns (V, N_SIDES) uint8: the type codes of a body's voxels and of their connected neighbours."""
     types = np.zeros((*grid_shape, N_SIDES), np.uint8)
-    joined = {tuple(pair) for pair in body.connections.T.tolist()}
-    joined |= {(b, a) for a, b in joined}
-    for row, column in topology.cells.tolist():
-        here = row * body.cols + column
-        for side, (down, right) in enumerate(_SIDES):
-            r, c = row + down, column + right
-            is_cell = 0 <= r < body.rows and 0 <= c < body.cols
-            if is_cell and (side == 0 or (here, r * body.cols + c) in joined):
-                types[row, column, side] = body.grid[r, c]
+    padded = np.zeros((body.rows + 2, body.cols + 2), np.uint8)
+    padded[1:-1, 1:-1] = body.grid
+    rows, columns = topology.cells[:, :1], topology.cells[:, 1:]
+    near = padded[rows + _STEPS[0], columns + _STEPS[1]]
+    near[:, 1:][topology.is_surface_side] = EMPTY  # those sides are in the same order: top, right, bottom, left
+    types[rows[:, 0], columns[:, 0]] = near
     return types.reshape(-1, N_SIDES)
 
 
 def voxel_template(body: Body, topology: Topology, grid_shape: tuple[int, int]) -> np.ndarray:
     """Returns (V, N_FEATURES) float32: a body's features that never change, zero elsewhere."""
     features = np.zeros((*grid_shape, N_FEATURES), np.float32)
-    for row, column in topology.cells.tolist():
-        features[row, column, PLACE] = 2 * row / (body.rows - 1) - 1 if body.rows > 1 else 0.0
-        features[row, column, PLACE + 1] = 2 * column / (body.cols - 1) - 1 if body.cols > 1 else 0.0
+    last = np.array(body.shape) - 1
+    places = 2 * topology.cells / np.maximum(last, 1) - (last > 0)
+    features[topology.cells[:, 0], topology.cells[:, 1], PLACE:] = places
     return features.reshape(-1, N_FEATURES)
 
 

@@ -9,21 +9,18 @@ from functools import lru_cache
 
 import numpy as np
 
-from evogymcm.sim.constants import DIAGONAL_CONSTANT, EDGE_CONSTANT, FIXED, H_ACT, MISSING, RIGID, V_ACT, VOXEL
+from evogymcm.sim.constants import DIAGONAL_CONSTANT, EDGE_CONSTANT, MISSING, N_CODES, VOXEL
+from evogymcm.sim.numbering import BL as BL
+from evogymcm.sim.numbering import BOTTOM as BOTTOM
+from evogymcm.sim.numbering import BR as BR
+from evogymcm.sim.numbering import LEFT as LEFT
+from evogymcm.sim.numbering import RIGHT as RIGHT
+from evogymcm.sim.numbering import TL as TL
+from evogymcm.sim.numbering import TOP as TOP
+from evogymcm.sim.numbering import TR as TR
+from evogymcm.sim.numbering import count, join, link, number, place
 
-TL, TR, BL, BR = range(4)  # corners of a voxel, in the order in which points are made
-TOP, RIGHT, BOTTOM, LEFT = range(4)  # sides of a voxel, in the order in which contacts and rigid limits visit them
-_STEP = {TOP: (-1, 0), RIGHT: (0, 1), BOTTOM: (1, 0), LEFT: (0, -1)}  # (row, column) to the neighbour on a side
-_SIDE_CORNERS = {TOP: (TL, TR), RIGHT: (TR, BR), BOTTOM: (BL, BR), LEFT: (TL, BL)}
-_EDGE_ORDER = (TOP, BOTTOM, LEFT, RIGHT)  # the order in which a voxel makes the edges that it does not share
-# A corner's earlier owners: the steps (sides) to a neighbour, and the corner that it is there. Where unjoined voxels
-# let them have different points, EvoGym takes the first of these.
-_EARLIER_OWNERS = {
-    TL: (((TOP, LEFT), BR), ((LEFT,), TR), ((TOP,), BL)),
-    TR: (((TOP, RIGHT), BL), ((TOP,), BR)),
-    BL: (((LEFT,), BR),),
-    BR: (),
-}
+CACHED = 512  # topologies kept: those of the worlds and of a population, but not of all bodies that a search makes
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,12 +73,9 @@ class Topology:
         The operations and their order are EvoGym's: robots start corner on corner with the terrain, so the last bit
         decides which contacts exist in the first substep.
         """
-        row, column, corner = self.made_at.T
-        right = column + ((corner == TR) | (corner == BR))
-        down = row + ((corner == BL) | (corner == BR))
-        px = x * VOXEL + right * VOXEL
-        py = (y * VOXEL + self.rows * VOXEL) - down * VOXEL
-        return np.stack([px, py], axis=1)
+        points = np.empty((self.n_points, 2))
+        place(self.made_at, x * VOXEL, y * VOXEL + self.rows * VOXEL, VOXEL, points)
+        return points
 
     def owner_constants(self) -> np.ndarray:
         """Returns (e, 2) the edge constant of each owner's own type, 0 where there is no owner."""
@@ -93,108 +87,39 @@ class Topology:
         return np.repeat(DIAGONAL_CONSTANT[self.codes], 2)
 
 
-def _neighbours(grid: np.ndarray, connections: np.ndarray | None) -> dict[tuple[int, int], dict[int, tuple[int, int]]]:
-    """Returns for each occupied cell its connected neighbours by side; all side-adjacent ones without connections."""
-    rows, columns = grid.shape
-    joined = None
-    if connections is not None:
-        pairs = np.asarray(connections).reshape(2, -1).T
-        joined = {frozenset((int(a), int(b))) for a, b in pairs}
-    result: dict[tuple[int, int], dict[int, tuple[int, int]]] = {}
-    for row, column in np.argwhere(grid != 0).tolist():
-        found = result.setdefault((row, column), {})
-        for side, (down, right) in _STEP.items():
-            r, c = row + down, column + right
-            if not (0 <= r < rows and 0 <= c < columns) or grid[r, c] == 0:
-                continue
-            if joined is None or frozenset((row * columns + column, r * columns + c)) in joined:
-                found[side] = (r, c)
-    return result
-
-
-def _walk(near: dict, cell: tuple[int, int], sides: tuple[int, ...]) -> tuple[int, int] | None:
-    """Returns the cell reached over connected `sides` (a diagonal in either order of its two steps), or None."""
-    for order in {sides, sides[::-1]}:
-        at: tuple[int, int] | None = cell
-        for side in order:
-            at = near[at].get(side) if at is not None else None
-        if at is not None:
-            return at
-    return None
-
-
-@lru_cache(maxsize=4096)
+@lru_cache(maxsize=CACHED)
 def _build(grid_bytes: bytes, shape: tuple[int, int], connection_bytes: bytes | None) -> Topology:
     grid = np.frombuffer(grid_bytes, np.int8).reshape(shape)
-    connections = None if connection_bytes is None else np.frombuffer(connection_bytes, np.int64)
-    near = _neighbours(grid, connections)
-    index = {cell: i for i, cell in enumerate(near)}
-    codes = np.array([grid[cell] for cell in near], np.int64)
-    n = len(index)
-    corner_points = np.full((n, 4), MISSING, np.int64)
-    sides = np.full((n, 4), MISSING, np.int64)
-    made_at: list[tuple[int, int, int]] = []
-    edges: list[tuple[int, int]] = []
-    owners: list[list[int]] = []
-    for cell, i in index.items():
-        for corner, earlier in _EARLIER_OWNERS.items():
-            for steps, theirs in earlier:
-                other = _walk(near, cell, steps)
-                if other is not None and corner_points[i, corner] == MISSING:
-                    corner_points[i, corner] = corner_points[index[other], theirs]
-            if corner_points[i, corner] == MISSING:
-                corner_points[i, corner] = len(made_at)
-                made_at.append((*cell, corner))
-        for side in _EDGE_ORDER:
-            shared = {TOP: BOTTOM, LEFT: RIGHT}.get(side)
-            if shared is not None and side in near[cell]:
-                edge = int(sides[index[near[cell][side]], shared])
-                owners[edge].append(i)
-            else:
-                edge = len(edges)
-                a, b = _SIDE_CORNERS[side]
-                edges.append((int(corner_points[i, a]), int(corner_points[i, b])))
-                owners.append([i])
-            sides[i, side] = edge
-
-    for cell, i in index.items():
-        for side in (BOTTOM, LEFT):
-            if side not in near[cell]:
-                a, b = edges[sides[i, side]]
-                edges[sides[i, side]] = (b, a)
-    constants = np.full(len(edges), EDGE_CONSTANT[RIGID])
-    is_fixed = np.zeros(len(made_at), bool)
-    for i, code in enumerate(codes):
-        if code not in (RIGID, FIXED):
-            constants[sides[i]] = EDGE_CONSTANT[code]
-        if code == FIXED:
-            is_fixed[corner_points[i]] = True
-    drives = {H_ACT: (TOP, BOTTOM), V_ACT: (LEFT, RIGHT)}
-    drivers = np.full((len(edges), 2), MISSING, np.int64)
-    for i, code in enumerate(codes):
-        for side in drives.get(int(code), ()):
-            edge = sides[i, side]
-            drivers[edge, int(drivers[edge, 0] != MISSING)] = i
-    topology = Topology(
-        rows=shape[0],
-        columns=shape[1],
-        cells=np.array(list(near), np.int64).reshape(-1, 2),
-        codes=codes,
-        corner_points=corner_points,
-        sides=sides,
-        is_surface_side=np.array([[s not in near[cell] for s in _STEP] for cell in near], bool).reshape(-1, 4),
-        made_at=np.array(made_at, np.int64).reshape(-1, 3),
-        is_fixed=is_fixed,
-        edges=np.array(edges, np.int64).reshape(-1, 2),
-        edge_owners=np.array([[*o, MISSING][:2] for o in owners], np.int64).reshape(-1, 2),
-        edge_constants=constants,
-        edge_drivers=drivers,
-        diagonals=corner_points[:, [TR, BL, TL, BR]].reshape(-1, 2),
-    )
-    for value in vars(topology).values():
-        if isinstance(value, np.ndarray):
-            value.flags.writeable = False
-    return topology
+    pairs = np.frombuffer(connection_bytes or b"", np.int64).reshape(2, -1)
+    links, numbers = np.empty(shape, np.uint8), np.empty(shape, np.int32)
+    link(grid, connection_bytes is None, pairs, links)
+    n_cells, n_points, n_edges = count(grid, links)
+    if n_cells == MISSING:
+        raise ValueError(f"grid: got cell codes {np.unique(grid).tolist()}, allowed are 0 to {N_CODES - 1}")
+    voxels = {
+        "cells": np.empty((n_cells, 2), np.int64),
+        "codes": np.empty(n_cells, np.int64),
+        "corner_points": np.empty((n_cells, 4), np.int64),
+        "is_surface_side": np.empty((n_cells, 4), np.bool_),
+    }
+    points = {
+        "made_at": np.empty((n_points, 3), np.int64),
+        "is_fixed": np.empty(n_points, np.bool_),
+        "diagonals": np.empty((2 * n_cells, 2), np.int64),
+    }
+    edges = {
+        "sides": np.empty((n_cells, 4), np.int64),
+        "edges": np.empty((n_edges, 2), np.int64),
+        "edge_owners": np.empty((n_edges, 2), np.int64),
+        "edge_constants": np.empty(n_edges),
+        "edge_drivers": np.empty((n_edges, 2), np.int64),
+    }
+    number(grid, links, numbers, *voxels.values(), *points.values())
+    join(numbers, *voxels.values(), EDGE_CONSTANT, *edges.values())
+    arrays = voxels | points | edges
+    for array in arrays.values():
+        array.flags.writeable = False
+    return Topology(rows=shape[0], columns=shape[1], **arrays)
 
 
 def topology(grid: np.ndarray, connections: np.ndarray | None = None) -> Topology:

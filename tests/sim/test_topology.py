@@ -1,11 +1,21 @@
 """Points, edges, surfaces and constants of small grids, worked out by hand."""
 
+from dataclasses import fields
+from itertools import product
+from weakref import ref
+
 import numpy as np
 import pytest
 
+from evogymcm._grid import full_connections
+from evogymcm.body import sample_body
 from evogymcm.sim.constants import DIAGONAL_CONSTANT, EDGE_CONSTANT, H_ACT, MISSING, RIGID, SOFT, V_ACT
-from evogymcm.sim.topology import topology
+from evogymcm.sim.object_springs import object_springs, pulls
+from evogymcm.sim.scene import EDGE_RULES
+from evogymcm.sim.topology import CACHED, topology
+from evogymcm.sim.world import World
 from tests.sim.tools import grid_of
+from tests.sim.topology_twin import slow_points, slow_pulls, slow_springs, slow_topology
 
 
 def build(text, connections=None):
@@ -153,3 +163,65 @@ def test_equal_grids_share_one_topology_that_nobody_can_change():
     assert build("HS/SH") is not build("HS/HS")
     with pytest.raises(ValueError, match="read-only"):
         build("HS/SH").edges[0] = 0
+
+
+def some_objects():
+    """Grids and connections: bodies, terrains, holes, unjoined and fixed voxels, and pairs that join nothing."""
+    rng = np.random.default_rng(0)
+    yield grid_of("F"), None
+    yield np.zeros((2, 3), np.int8), None
+    for shape in ((5, 5), (10, 10)):
+        for _ in range(5):
+            body = sample_body(shape, rng, (0.2, 1, 1, 1, 1))
+            yield body.grid, body.connections
+    for name in ("Walker-v0", "CaveCrawler-v0", "BridgeWalker-v0"):
+        for obj in World.load(name).objects:
+            yield obj.grid, obj.connections
+    for i in range(200):
+        grid = rng.choice(6, rng.integers(1, 7, 2), p=[0.25, 0.15, 0.15, 0.15, 0.15, 0.15]).astype(np.int8)
+        full = full_connections(grid)
+        some = full[:, rng.random(full.shape[1]) < 0.7]
+        wild = rng.integers(-2, grid.size + 2, (2, 9))
+        yield grid, (None, full, some, np.concatenate([some[::-1], some, wild], axis=1))[i % 4]
+
+
+def assert_same(array, expected):
+    assert (array.dtype, array.shape) == (expected.dtype, expected.shape)
+    np.testing.assert_array_equal(array, expected)
+
+
+def test_topologies_and_springs_are_their_slow_twins():
+    for grid, connections in some_objects():
+        t, expected = topology(grid, connections), slow_topology(grid, connections)
+        arrays = {f.name: getattr(t, f.name) for f in fields(t) if f.type is np.ndarray}
+        assert len(arrays) == 12
+        assert (t.rows, t.columns) == grid.shape
+        for name, array in arrays.items():
+            assert_same(array, getattr(expected, name))
+        assert_same(t.points(7, 3), slow_points(expected, 7, 3))
+        for is_robot, rule in product((True, False), EDGE_RULES):
+            springs = object_springs(t, is_robot, rule)
+            wanted = slow_springs(expected, is_robot, rule)
+            assert set(springs._fields) == set(wanted)
+            for name, values in wanted.items():
+                assert_same(getattr(springs, name), values.astype(np.int32) if values.dtype == np.int64 else values)
+        for found, values in zip(pulls(springs.ends, t.n_points), slow_pulls(springs.ends, t.n_points), strict=True):
+            assert_same(found, values)
+        assert all(a.flags.c_contiguous and not a.flags.writeable for a in (*arrays.values(), *springs))
+
+
+def test_what_is_no_voxel_or_point_is_refused():
+    for code in (-1, 6):
+        with pytest.raises(ValueError, match=rf"cell codes .*{code}.* allowed are 0 to 5"):
+            topology(np.array([[3, code]]))
+    with pytest.raises(ValueError, match="ends: got 0 to 7, the points are 0 to 6"):
+        pulls(np.array([[0, 7]], np.int32), 7)
+
+
+def test_a_long_stream_of_bodies_is_not_kept_in_memory():
+    first = topology(np.full((1, 1), H_ACT))
+    gone = [ref(first), ref(object_springs(first, True).ends)]
+    del first
+    for i in range(CACHED):
+        object_springs(topology(1 + np.array([[i // 256, i // 64 % 4, i // 16 % 4, i // 4 % 4, i % 4]])), True)
+    assert [r() for r in gone] == [None, None]
