@@ -41,23 +41,16 @@ def join_trees(trees: Sequence[Tree], voxels: Sequence[np.ndarray]) -> Forest:
         trees: One of each object.
         voxels: For each object, (c,) numbers of its voxels among the world's V surface voxels; inner ones are not read.
     """
-    node_start = np.cumsum([0, *(len(tree.parent) for tree in trees)])
-    no_child = [np.full((len(tree.leaves), 2), MISSING) for tree in trees]
-    no_voxel = [np.full(len(tree.children), MISSING) for tree in trees]
-    own = [numbers[tree.leaves] for tree, numbers in zip(trees, voxels, strict=True)]
-    starts = node_start[:-1].tolist()
-    children = [rows for s, t, none in zip(starts, trees, no_child, strict=True) for rows in (none, t.children + s)]
-    voxel = np.concatenate([part for parts in zip(own, no_voxel, strict=True) for part in parts])
-    is_leaf = voxel != MISSING
-    leaf = np.empty(int(is_leaf.sum()), np.int32)
-    leaf[voxel[is_leaf]] = np.flatnonzero(is_leaf)
-    return Forest(
-        node_start=node_start.astype(np.int32),
-        children=np.concatenate(children).astype(np.int32),
-        place=np.concatenate([tree.place for tree in trees]),
-        voxel=voxel.astype(np.int32),
-        leaf=leaf,
-    )
+    sizes = [len(tree.parent) for tree in trees]
+    node_start = np.cumsum([0, *sizes], dtype=np.int32)
+    children, voxel = np.full((sum(sizes), 2), MISSING, np.int32), np.full(sum(sizes), MISSING, np.int32)
+    leaf = np.empty(sum(len(tree.leaves) for tree in trees), np.int32)
+    for start, tree, numbers in zip(node_start[:-1].tolist(), trees, voxels, strict=True):
+        n, own = len(tree.leaves), numbers[tree.leaves]
+        children[start + n : start + 2 * n - 1] = tree.children + start
+        voxel[start : start + n] = own
+        leaf[own] = np.arange(start, start + n)
+    return Forest(node_start, children, np.concatenate([tree.place for tree in trees]), voxel, leaf)
 
 
 @kernel

@@ -47,7 +47,7 @@ class _Work(NamedTuple):
 @kernel
 def _number_leaves(is_surface_side: np.ndarray, sets: Sets, leaves: np.ndarray, leaf_of: np.ndarray) -> None:
     """Sets the voxel of each leaf: the surface voxels as a hash set orders them."""
-    s = sets.size.shape[0] - 1  # the root's set, which is not in use yet
+    s = sets.size.shape[0] - 1  # the root's set, of which the order is never used
     for v in range(is_surface_side.shape[0]):
         leaf_of[v] = MISSING
         if is_surface_side[v, 0] or is_surface_side[v, 1] or is_surface_side[v, 2] or is_surface_side[v, 3]:
@@ -56,7 +56,6 @@ def _number_leaves(is_surface_side: np.ndarray, sets: Sets, leaves: np.ndarray, 
         v = sets.value[sets.head[s]]
         leaves[i], leaf_of[v] = v, i
         erase(sets, s, v)
-    sets.size[s] = 1
 
 
 @kernel
@@ -177,7 +176,7 @@ def _join_neighbours(work: _Work, parent: np.ndarray, i: int, j: int, node: int)
             erase(sets, v, i)
             erase(sets, v, j)
             insert(sets, v, node)
-            work.partner[v] = i  # to be sought again
+            work.partner[v] = i  # to be sought again: the order has changed
         entry = sets.after[entry]
 
 
@@ -185,8 +184,8 @@ def _join_neighbours(work: _Work, parent: np.ndarray, i: int, j: int, node: int)
 def _merge(work: _Work, children: np.ndarray, parent: np.ndarray) -> None:
     """Merges the two unfinished nodes with the least joint box, until one is left: neighbours, then any two.
 
-    Each node keeps its best partner, which is sought again only where a merge may have changed it. Once no neighbours
-    are left there never are any again.
+    Each node keeps its best partner, which is sought again only where a merge may have changed it: the joint box with
+    the new node is never smaller than with its children. Once no neighbours are left there never are any again.
     """
     n = children.shape[0] + 1
     has_neighbours = True
@@ -209,15 +208,12 @@ def _merge(work: _Work, children: np.ndarray, parent: np.ndarray) -> None:
         work.least[i] = work.least[j] = np.inf
         work.partner[node] = i
         for v in range(node + 1):
-            if parent[v] != MISSING:
+            if parent[v] != MISSING or (work.partner[v] != i and work.partner[v] != j):
                 continue
-            is_lost = work.partner[v] == i or work.partner[v] == j
-            if has_neighbours and is_lost:
+            if has_neighbours:
                 _seek_neighbour(work, parent, v)
-            elif is_lost:
+            else:
                 _seek_any(work, parent, v, node + 1)
-            elif not has_neighbours:
-                _consider(work, v, node)
 
 
 @kernel

@@ -1,4 +1,4 @@
-"""Trees of boxes against recorded ones, and against the rules written down once more as plainly as possible."""
+"""Trees of boxes against stored ones, and against the rules written down once more as plainly as possible."""
 
 import json
 from pathlib import Path
@@ -133,7 +133,7 @@ def assert_well_numbered(tree):
 
 
 @pytest.mark.parametrize("example", EXAMPLES, ids=[e["name"] for e in EXAMPLES])
-def test_recorded_trees(example):
+def test_stored_trees(example):
     """Six worlds of the benchmark, a ring with bumps on the inside, and a full block."""
     tree = build_tree(topology(grid_from_rows(example["rows"])), tuple(example["origin"]))
     assert tree.leaves.tolist() == example["leaves"]
