@@ -129,6 +129,10 @@ def check_grid(grid: ArrayLike, n_codes: int) -> Grid:
     Raises:
         ValueError: The grid is not 2-D, has no cell, or holds something else than 0 ... n_codes - 1.
     """
+    if isinstance(grid, np.ndarray) and grid.dtype == np.int8 and grid.ndim == 2 and grid.size:
+        codes = grid.tobytes()  # negative ones are bytes above 127
+        if max(codes) < n_codes:
+            return grid.copy()
     try:
         cells = as_numbers(grid)
     except (TypeError, ValueError) as error:

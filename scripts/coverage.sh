@@ -11,7 +11,7 @@ export NUMBA_CACHE_DIR
 trap 'rm -rf "$NUMBA_CACHE_DIR"' EXIT
 
 NUMBA_DISABLE_JIT=1 .venv/bin/coverage run --source=evogymcm -m pytest --quiet -W ignore::RuntimeWarning \
-    tests/sim/test_lanes.py tests/sim/test_springs.py tests/sim/test_contact.py tests/sim/test_rare_paths.py \
+    tests/sim/test_vectors.py tests/sim/test_springs.py tests/sim/test_contact.py tests/sim/test_rare_paths.py \
     tests/sim/test_trees.py tests/sim/test_contact_order.py \
     tests/sim/test_simulator.py::test_edge_rules_say_what_a_shared_edge_is \
     tests/envs/test_readings.py tests/envs/test_core.py::test_neighbours_are_the_connected_ones \

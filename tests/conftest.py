@@ -2,7 +2,17 @@
 
 import os
 
+import pytest
+
 # One torch thread, here and in the processes that tests start: more only fight over the cores. Where a test asks for
 # more, idle ones otherwise spin, which slows the simulator's own threads down.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+
+
+@pytest.fixture
+def small_batches_pay(monkeypatch):
+    """Threads are used for few worlds too."""
+    from evogymcm.sim import _threads
+
+    monkeypatch.setattr(_threads, "_PAYS", 1)

@@ -10,7 +10,6 @@ from tensordict.nn import TensorDictModuleBase
 from evogymcm.algos.threads import exploration
 from evogymcm.envs.core import TaskEngine
 from evogymcm.envs.torchrl import SoftRobotEnv
-from evogymcm.sim.springs import X
 
 __all__ = ["CONTACT_DEPTH", "CONTACT_TOLERANCE", "GroundContact", "Recording", "record_episode"]
 
@@ -58,6 +57,7 @@ class GroundContact:
     The ground is the floor y = 0 and the upper sides of all objects but those that the task watches (packages). A voxel
     touches it when one of its corners is at most CONTACT_TOLERANCE above such a side or CONTACT_DEPTH below it,
     vertically, or when a corner of the ground is as near to the voxel's underside. Walls and ceilings do not count.
+    Where the world gets another robot, it is that one's voxels.
 
     Args:
         engine: of the world.
@@ -65,25 +65,30 @@ class GroundContact:
     """
 
     def __init__(self, engine: TaskEngine, world: int = 0) -> None:
-        number, self._lane = (int(value) for value in engine.simulator.lane_of[world])
-        self._block = engine.simulator.blocks[number]
-        layout, scene = self._block.layout, self._block.scene
-        self.cells = scene.objects[0].topology.cells
-        objects = [k for k, placed in enumerate(scene.objects) if k > 0 and placed.name not in engine.task.watches]
-        is_robot, is_ground = layout.cell_object == 0, np.isin(layout.cell_object, objects)
-        self._ground_sides = layout.sides[is_ground][layout.is_surface[is_ground]]  # (m, 2), outside on their left
-        self._corners = scene.objects[0].topology.corner_points  # the robot's points come first: (C, 4) numbers of both
-        self._robot_sides = layout.sides[is_robot][layout.is_surface[is_robot]]
-        row_of = {tuple(cell): i for i, cell in enumerate(self.cells.tolist())}
-        owners = np.array(
-            [row_of[tuple(cell)] for cell in layout.grid_cells[is_robot[: len(layout.grid_cells)]].tolist()]
-        )
-        self._owners = np.repeat(owners, layout.is_surface[is_robot].sum(1))  # voxel of each of the robot's sides
+        self._simulator, self._world, self._watches = engine.simulator, world, engine.task.watches
+        self._number()
+
+    def _number(self) -> None:
+        """Sets the numbers of the points and sides that are compared."""
+        objects = self._objects = self._simulator.objects(self._world)
+        ground_sides, start = [np.zeros((0, 2), np.int64)], 0
+        for number, placed in enumerate(objects):
+            t = placed.topology
+            if number > 0 and placed.name not in self._watches:
+                ground_sides.append(start + t.edges[t.sides[t.is_surface_side]])
+            start += len(placed.places)
+        robot = objects[0].topology
+        self.cells = robot.cells
+        self._ground_sides = np.concatenate(ground_sides)  # (m, 2), outside on their left
+        self._corners = robot.corner_points  # the robot's points come first: (C, 4) numbers of both
+        self._robot_sides = robot.edges[robot.sides[robot.is_surface_side]]
+        self._owners = np.nonzero(robot.is_surface_side)[0]  # voxel of each of the robot's sides
 
     def now(self) -> NDArray[np.bool_]:
         """Returns (C,) which voxels touch the ground at this moment."""
-        moving = self._block.state.points[X : X + 2, : self._block.scene.n_points, self._lane]
-        xy = np.concatenate([moving, self._block.layout.static_points.T], axis=1).T
+        if self._objects is not self._simulator.objects(self._world):
+            self._number()
+        xy = self._simulator.points(self._world).T
         ends = xy[self._ground_sides]
         faces_up = ends[:, 0, 0] < ends[:, 1, 0]
         n = self._corners.max() + 1

@@ -7,8 +7,6 @@ import numpy as np
 
 from evogymcm.envs.core import TaskEngine
 from evogymcm.sim.constants import FIXED, H_ACT, V_ACT, VOXEL
-from evogymcm.sim.simulator import Block
-from evogymcm.sim.springs import X
 from evogymcm.sim.topology import BL, BR, TL, TR
 
 _AROUND = [TL, TR, BR, BL]  # corners of a voxel in the order of a walk around it; its sides are then:
@@ -19,7 +17,7 @@ _FOLLOWS = 0.15  # of the way to its target that the camera goes in an env-step
 
 @dataclass(frozen=True, eq=False)
 class Parts:
-    """What of a block's scene is drawn. Sides are top, right, bottom, left.
+    """What of a world is drawn. Sides are top, right, bottom, left.
 
     Attributes:
         squares: (f, 2) lower-left world cells of the voxels that never move.
@@ -42,21 +40,23 @@ class Parts:
     followed: np.ndarray
 
 
-def make_parts(engine: TaskEngine, block: Block) -> Parts:
-    """Returns what is drawn of a block's worlds."""
+def make_parts(engine: TaskEngine, world: int) -> Parts:
+    """Returns what is drawn of a world. Points are numbered as in `Simulator.points`."""
     squares, square_sides, corners, codes, sides = [], [], [], [], []
-    robot, *others = block.scene.objects
-    for placed in (*others, robot):
+    objects = engine.simulator.objects(world)
+    starts = np.cumsum([0, *(len(placed.places) for placed in objects)])
+    robot = objects[0]
+    for start, placed in [*zip(starts[1:], objects[1:], strict=False), (0, robot)]:
         t = placed.topology
         is_square = (t.codes == FIXED) & (placed.name not in engine.task.moves_at_reset)
         rows, columns = t.cells[is_square].T
         squares.append(np.stack([columns, t.rows - 1 - rows], axis=1) + placed.origin)
         square_sides.append(t.is_surface_side[is_square])
-        corners.append(placed.points[t.corner_points[~is_square]][:, _AROUND])
+        corners.append(start + t.corner_points[~is_square][:, _AROUND])
         codes.append(t.codes[~is_square])
         sides.append(t.is_surface_side[~is_square])
     cells = robot.topology.cells
-    watched = [block.scene.object(name).points for name in engine.task.watches]
+    followed = [k for k, placed in enumerate(objects) if k == 0 or placed.name in engine.task.watches]
     return Parts(
         np.concatenate(squares),
         np.concatenate(square_sides),
@@ -65,14 +65,8 @@ def make_parts(engine: TaskEngine, block: Block) -> Parts:
         np.concatenate(sides),
         sum(len(c) for c in codes) - len(cells),
         cells[:, 0] * engine.grid_shape[1] + cells[:, 1],
-        np.concatenate([robot.points, *watched]),
+        np.concatenate([np.arange(starts[k], starts[k + 1]) for k in followed]),
     )
-
-
-def world_points(block: Block, lane: int) -> np.ndarray:
-    """Returns (2, n) metres: all points of a world, by the scene's numbers."""
-    moving = block.state.points[X : X + 2, : block.scene.n_points, lane]
-    return np.concatenate([moving, block.layout.static_points.T], axis=1)
 
 
 def stretches(quads: np.ndarray, codes: np.ndarray) -> np.ndarray:

@@ -126,6 +126,7 @@ class GymnasiumEnv(Described, WorldReadings, gymnasium.Env[np.ndarray, np.ndarra
         WorldReadings.__init__(self, engine)
         self.observation_space, self.action_space = _single_spaces(self.engine)
         self._grid = _ActionGrid(self.engine, self.action_space.shape[0])
+        self._changed = engine.simulator.physics.changed()
         self._renderer = make_renderer(engine, render_mode, render_options)
         self._window = Window(engine.task.id, FPS) if render_mode in ("human", "screen") else None
 
@@ -136,7 +137,6 @@ class GymnasiumEnv(Described, WorldReadings, gymnasium.Env[np.ndarray, np.ndarra
 
     def _info(self) -> dict[str, Any]:
         engine = self.engine
-        changed = engine.simulator.physics.changed()
         info = {
             "com": engine.com[0],
             "unstable": engine.unstable[0],
@@ -144,7 +144,7 @@ class GymnasiumEnv(Described, WorldReadings, gymnasium.Env[np.ndarray, np.ndarra
             "score": engine.score[0],
             "return": engine.returns[0],
         }
-        return info | {"physics": changed} if changed else info
+        return info | {"physics": dict(self._changed)} if self._changed else info
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[np.ndarray, dict]:
         """Starts an episode; a seed matters to tasks that draw something at random."""

@@ -7,13 +7,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from evogymcm.envs.task import Snapshot, Task, Window
-from evogymcm.envs.voxels import fill_voxels
-from evogymcm.sim.constants import MISSING, VOXEL
-from evogymcm.sim.lanes import N_LANES
-from evogymcm.sim.readings import N_SUMS, Terrain, new_readings, read_object, read_window
-from evogymcm.sim.simulator import Block, Simulator
+from evogymcm.sim.constants import VOXEL
+from evogymcm.sim.readings import N_SCRATCH, new_readings, read_object, read_voxels, read_window
+from evogymcm.sim.simulator import Simulator
 
-BlockReader = Callable[[Block, np.ndarray], None]  # a block and its (8,) worlds, MISSING for those not to be read
+_NOTHING: Mapping[str, np.ndarray] = {}
+WorldReader = Callable[[np.ndarray, int], None]  # (m,) worlds, and the number of the thread that reads them
 
 
 class Sensed(NamedTuple):
@@ -32,114 +31,103 @@ class Sensed(NamedTuple):
     voxels: np.ndarray
 
 
-class _Source(NamedTuple):
-    """What the kernels that read a block need besides its state."""
-
-    objects: list[tuple[Any, ...]]  # for `read_object`: the robot, then the watched objects
-    terrains: list[Terrain]  # for `read_window`: of each window
-    cells: tuple[np.ndarray, np.ndarray, int]  # for `fill_voxels`
-
-
 class Reader:
     """Keeps two snapshots of all worlds: the present one and the one before, whose arrays the next step overwrites.
 
     Args:
         task: what is read.
         simulator: from which.
+        most_points: of any robot that a world may get; those of the present ones by default.
 
     Attributes:
         now: the present readings.
         before: the readings of the step before.
     """
 
-    def __init__(self, task: Task, simulator: Simulator) -> None:
+    def __init__(self, task: Task, simulator: Simulator, most_points: int = 0) -> None:
         self._task, self._simulator = task, simulator
-        most_points = max(block.scene.objects[0].topology.n_points for block in simulator.blocks)
+        objects = simulator.objects()
+        numbers = {placed.name: number for number, placed in enumerate(objects)}
+        self._watched = [numbers[name] for name in task.watches]
+        present = (len(simulator.objects(world)[0].places) for world in range(simulator.n_worlds))
+        self._robot_points = max(most_points, *present)
+        most = max(self._robot_points, max(len(placed.places) for placed in objects))
         windows = ((task.floor, False), (task.ceiling, True))
         self._windows = [(window, is_ceiling) for window, is_ceiling in windows if window is not None]
-        self._sources = [self._make_source(block, most_points) for block in simulator.blocks]
-        self.now, self.before = self._new_snapshot(most_points), self._new_snapshot(most_points)
+        self._terrains = [self._make_terrain(window) for window, _ in self._windows]
+        self._scratches = np.zeros((simulator.num_threads, N_SCRATCH * (most + 2)))
+        self.now, self.before = self._new_snapshot(), self._new_snapshot()
 
-    def _make_source(self, block: Block, most_points: int) -> _Source:
-        topology, layout, n = block.scene.objects[0].topology, block.layout, block.scene.n_points
-        initial = np.concatenate([layout.initial, layout.static_points])
-        scratch = np.zeros((2, 2 * most_points + 2), np.int64), np.zeros((N_SUMS, 1, N_LANES))
+    def _make_terrain(self, window: Window) -> tuple[np.ndarray, np.ndarray]:
+        """Returns what a window sees: (Q, 2) fixed points in voxels by ascending x, and the places of moving ones."""
+        seen = [placed for placed in self._simulator.objects() if placed.name in window.objects]
+        points = self._simulator.positions
+        fixed = np.concatenate([points(placed.name)[:, placed.places < 0] for placed in seen], axis=1)
+        moving = np.concatenate([placed.places[placed.places >= 0] for placed in seen])
+        # Fixed corners of soft voxels are state, but their place never changes either.
+        return np.ascontiguousarray((fixed[:, np.argsort(fixed[0], kind="stable")] / VOXEL).T), moving
 
-        def known(name: str, with_hull: bool = False) -> tuple[Any, ...]:
-            points = block.scene.object(name).points
-            return np.where(points < n, points, MISSING), initial[points], with_hull, *scratch
-
-        return _Source(
-            [known(block.scene.objects[0].name, self._task.reads_hull), *map(known, self._task.watches)],
-            [self._make_terrain(block, window) for window, _ in self._windows],
-            # Copies, since arrays that are read-only here are not so in a copied engine: that needs kernels of its own.
-            (topology.cells.copy(), topology.corner_points.copy(), self._simulator.grid_shape[1]),
-        )
-
-    @staticmethod
-    def _make_terrain(block: Block, window: Window) -> Terrain:
-        """Returns what a window sees."""
-        points = np.concatenate([block.scene.object(name).points for name in window.objects])
-        n = block.scene.n_points
-        fixed = block.layout.static_points[points[points >= n] - n] / VOXEL
-        # Fixed corners of soft voxels have lanes, but their place never changes either.
-        return Terrain(fixed[np.argsort(fixed[:, 0], kind="stable")], points[points < n])
-
-    def _new_snapshot(self, n_points: int) -> Snapshot:
+    def _new_snapshot(self) -> Snapshot:
         n, task = self._simulator.n_worlds, self._task
-        scene = self._simulator.blocks[0].scene
+        most, objects = self._robot_points, self._simulator.objects()
+        sizes = [most if number == 0 else len(objects[number].places) for number in self._watched]
         return Snapshot(
-            robot=new_readings(n, n_points),
-            objects={name: new_readings(n, scene.object(name).topology.n_points) for name in task.watches},
+            memory=_NOTHING,
+            robot=new_readings(n, most),
+            objects={name: new_readings(n, size) for name, size in zip(task.watches, sizes, strict=True)},
             floor=np.zeros((n, 2 * task.floor.radius + 1)) if task.floor else None,
             ceiling=np.zeros((n, 2 * task.ceiling.radius + 1)) if task.ceiling else None,
         )
 
+    def clear(self, world: int) -> None:
+        """Forgets the points of a world whose robot changes: a smaller one does not overwrite all of them."""
+        for snapshot in (self.now, self.before):
+            for number, readings in zip([0, *self._watched], [snapshot.robot, *snapshot.objects.values()], strict=True):
+                if number == 0:
+                    readings.relative[world] = 0.0
+
     def turn(self) -> None:
         """Makes the present readings those before; new ones take the place of the older, beside the same memory."""
-        self.now, self.before = replace(self.before, memory=self.now.memory), self.now
+        latest = self.before if self.before.memory is self.now.memory else replace(self.before, memory=self.now.memory)
+        self.now, self.before = latest, self.now
 
     def remember(self, memory: Mapping[str, np.ndarray], chosen: np.ndarray | None = None) -> None:
         """Puts copies of the task's memory into the present snapshot, for the worlds of the (N,) mask (all by default).
 
         The others go on showing what they showed.
         """
+        if not memory:
+            return
         shown = {name: np.array(values) for name, values in memory.items()}
         if chosen is not None:
             for name, values in self.now.memory.items():
                 shown[name][~chosen] = values[~chosen]
         self.now = replace(self.now, memory=shown)
 
-    def block_reader(self, sensed: Sensed | None) -> BlockReader:
-        """Returns the function that reads a block's worlds, to be run in the thread that advanced them.
+    def reader(self, sensed: Sensed | None) -> WorldReader:
+        """Returns the function that reads worlds, to be run in the thread that advanced them.
 
         Without `sensed` it leaves voxels out.
         """
-        now, sources, rows = self.now, self._sources, (self._simulator.n_worlds, -1)
-        objects = [now.robot, *now.objects.values()]
-        windows = [(w.radius, is_ceiling, now.ceiling if is_ceiling else now.floor) for w, is_ceiling in self._windows]
+        now, storage, hull = self.now, self._simulator.storage, self._task.reads_hull
+        watched = list(zip(self._watched, now.objects.values(), strict=True))
+        for_voxels: tuple[Any, ...] = ()
         if sensed is not None:
-            template, voxels = sensed.template.reshape(rows), sensed.voxels.reshape(rows)
+            template, voxels = (array.reshape(len(array), -1) for array in (sensed.template, sensed.voxels))
             for_voxels = now.robot.numbers, sensed.stiffness, sensed.actuation, template, voxels
 
-        def read(block: Block, worlds: np.ndarray) -> None:
-            points, source = block.state.points, sources[block.index]
-            for known, readings in zip(source.objects, objects, strict=True):
-                read_object(points, worlds, *known, *readings)
-            if windows:
-                for terrain, window in zip(source.terrains, windows, strict=True):
-                    read_window(points, worlds, *terrain, now.robot.com, *window)
-            if sensed is not None:
-                fill_voxels(points, worlds, *source.cells, *for_voxels)
+        def read(worlds: np.ndarray, thread: int) -> None:
+            scratch = self._scratches[thread]
+            read_object(storage, worlds, 0, hull, scratch, *now.robot)
+            for number, readings in watched:
+                read_object(storage, worlds, number, False, scratch, *readings)
+            for (window, is_ceiling), terrain in zip(self._windows, self._terrains, strict=True):
+                out = now.ceiling if is_ceiling else now.floor
+                read_window(storage, worlds, *terrain, now.robot.numbers, window.radius, is_ceiling, out)
+            if for_voxels:
+                read_voxels(storage, worlds, *for_voxels)
 
         return read
-
-    def read(self, chosen: np.ndarray, read_block: BlockReader) -> None:
-        """Reads the worlds of the (N,) mask as they are now."""
-        for block in self._simulator.blocks:
-            worlds = np.where((block.worlds != MISSING) & chosen[block.worlds], block.worlds, MISSING)
-            if (worlds != MISSING).any():
-                read_block(block, worlds)
 
     def keep(self, kept: np.ndarray) -> None:
         """Copies the readings before into the present ones, for the worlds of the (N,) mask."""

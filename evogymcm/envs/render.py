@@ -6,12 +6,13 @@ from typing import Any
 
 import numpy as np
 
+from evogymcm.body import Body
 from evogymcm.envs import _palette as palette
 from evogymcm.envs._downscale import FINE, downscale
 from evogymcm.envs._drawing import Painter, Shown
 from evogymcm.envs._extras import load_pygame
 from evogymcm.envs._legend import Legend
-from evogymcm.envs._scenery import Camera, Parts, make_parts, world_points
+from evogymcm.envs._scenery import Camera, Parts, make_parts
 from evogymcm.envs.core import TaskEngine
 
 VIEWS = ("types", "stiffness")
@@ -68,7 +69,8 @@ class Renderer:
             raise ValueError(f"size: got {width} x {height}, allowed are 16 x 16 and more")
         self.engine, self.width, self.height, self.view = engine, width, height, view
         self._shown = Shown(not hide_background, not hide_edges, not hide_voxels)
-        self._parts: dict[int, Parts] = {}  # by block
+        self._parts: dict[Body, Parts] = {}
+        self._drawn: dict[int, Body] = {}  # the body of each world when it was last drawn
         self._cameras: dict[tuple[int, bool], Camera] = {}  # by world, and whether it is for the grid
         self._unit = max(1.0, min(width / 640, height / 320))
         has_legend = width >= _LEGEND_FROM and height >= 4 * _STRIP if legend is None else legend
@@ -134,11 +136,12 @@ class Renderer:
     def _draw(self, surface: Any, world: int, is_tile: bool) -> None:
         """Draws a world on a surface."""
         engine = self.engine
-        block_number, lane = (int(i) for i in engine.simulator.lane_of[world])
-        block = engine.simulator.blocks[block_number]
-        if block_number not in self._parts:
-            self._parts[block_number] = make_parts(engine, block)
-        parts, points = self._parts[block_number], world_points(block, lane)
+        body = engine.bodies[world]
+        if self._drawn.get(world) is not body:
+            self._change_body(world)
+        if body not in self._parts:
+            self._parts[body] = make_parts(engine, world)
+        parts, points = self._parts[body], engine.simulator.points(world)
         width, height = surface.get_size()
         if (world, is_tile) not in self._cameras:
             self._cameras[world, is_tile] = Camera(_GRID_PADDING if is_tile else _PADDING)
@@ -151,6 +154,14 @@ class Renderer:
         painter.voxels(parts, points, engine.stiffness[world])
         if width >= FINE * _TEXT_FROM:
             self._write(surface, self._text(world, is_tile))
+
+    def _change_body(self, world: int) -> None:
+        """Forgets the view of a world whose body is another one, and bodies that no world holds."""
+        self._drawn[world] = self.engine.bodies[world]
+        self._cameras = {key: camera for key, camera in self._cameras.items() if key[0] != world}
+        if len(self._parts) >= self.engine.num_worlds:
+            present = set(self.engine.bodies)
+            self._parts = {body: parts for body, parts in self._parts.items() if body in present}
 
     def _text(self, world: int, is_tile: bool) -> str:
         engine = self.engine

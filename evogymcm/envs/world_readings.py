@@ -7,11 +7,9 @@ import numpy as np
 
 from evogymcm.envs.core import TaskEngine
 from evogymcm.sim.constants import VOXEL
-from evogymcm.sim.readings import WINDOW_REACH, Readings
-from evogymcm.sim.scene import Scene
+from evogymcm.sim.readings import CENTRE, N_SCRATCH, ORIENTATION, VELOCITY, WINDOW_REACH, new_readings, read_object
 from evogymcm.sim.world import ROBOT
 
-_TWO_PI = 2.0 * 3.1415926  # EvoGym's value, as in the observations
 _INSTEAD = {
     "sim": "use `engine.simulator`",
     "world": "use `engine.task.world`",
@@ -24,7 +22,7 @@ class WorldReadings:
     """Readings of one world of an engine.
 
     Times are env-steps of the episode, and only the present one, `get_time()`, can be asked for: what is needed of an
-    earlier one is read then.
+    earlier one is read then. What has EvoGym's name is rounded as there; `points` and `velocities` are the simulator's.
 
     Args:
         engine: The task engine.
@@ -56,41 +54,36 @@ class WorldReadings:
     def object_pos_at_time(self, time: int, object_name: str) -> np.ndarray:
         """Returns (2, n) positions of an object's points; ValueError for another time than the present."""
         self._check_time(time)
-        return self.points(object_name)
+        return self.points(object_name) / VOXEL * VOXEL
 
     def object_vel_at_time(self, time: int, object_name: str) -> np.ndarray:
         """Returns (2, n) velocities of an object's points; ValueError for another time than the present."""
         self._check_time(time)
-        return self.velocities(object_name)
+        return self.velocities(object_name) / VOXEL * VOXEL
 
     def object_orientation_at_time(self, time: int, object_name: str) -> float:
         """Returns an object's orientation, radians counter-clockwise since reset, in [0, 2 pi)."""
         self._check_time(time)
-        readings = self._read(object_name)
-        if readings is not None:
-            return float(readings.orientation[self._world])
-        placed = self._scene.object(object_name)
-        return _orientation(placed.topology.points(*placed.origin).T, self.points(object_name))
+        return float(self._read(object_name)[0][ORIENTATION])
 
     def pos_at_time(self, time: int) -> np.ndarray:
         """Returns (2, n) positions of all points, the robot's first."""
         self._check_time(time)
-        return np.concatenate([self.points(placed.name) for placed in self._scene.objects], axis=1)
+        return self.engine.simulator.points(self._world) / VOXEL * VOXEL
 
     def vel_at_time(self, time: int) -> np.ndarray:
         """Returns (2, n) velocities of all points, the robot's first."""
         self._check_time(time)
-        return np.concatenate([self.velocities(placed.name) for placed in self._scene.objects], axis=1)
+        objects = self.engine.simulator.objects(self._world)
+        return np.concatenate([self.velocities(placed.name) for placed in objects], axis=1) / VOXEL * VOXEL
 
     def get_pos_com_obs(self, object_name: str) -> np.ndarray:
         """Returns (2,) an object's centre of mass."""
-        readings = self._read(object_name)
-        return self.points(object_name).mean(1) if readings is None else readings.com[self._world].copy()
+        return self._read(object_name)[0][CENTRE : CENTRE + 2] * VOXEL
 
     def get_vel_com_obs(self, object_name: str) -> np.ndarray:
         """Returns (2,) an object's mean velocity."""
-        readings = self._read(object_name)
-        return self.velocities(object_name).mean(1) if readings is None else readings.velocity[self._world].copy()
+        return self._read(object_name)[0][VELOCITY : VELOCITY + 2].copy()
 
     def get_ort_obs(self, object_name: str) -> np.ndarray:
         """Returns (1,) an object's orientation, see `object_orientation_at_time`."""
@@ -98,7 +91,7 @@ class WorldReadings:
 
     def get_relative_pos_obs(self, object_name: str) -> np.ndarray:
         """Returns (2n,) an object's points minus its centre of mass, all x first."""
-        return (self.points(object_name) - self.get_pos_com_obs(object_name)[:, None]).ravel()
+        return self._read(object_name)[1].ravel()
 
     def get_floor_obs(
         self, object_name: str, terrain_list: Sequence[str], sight_dist: int, sight_range: float = WINDOW_REACH
@@ -111,13 +104,13 @@ class WorldReadings:
             sight_dist: Columns to each side.
             sight_range: Voxels that it sees down: a column without terrain reads this far.
         """
-        return self._look(object_name, terrain_list, sight_dist, sight_range, -1.0)
+        return self._look(object_name, terrain_list, sight_dist, sight_range, is_ceiling=False)
 
     def get_ceil_obs(
         self, object_name: str, terrain_list: Sequence[str], sight_dist: int, sight_range: float = WINDOW_REACH
     ) -> np.ndarray:
         """Returns (2 sight_dist + 1,) how far terrain is above an object's centre of mass, as `get_floor_obs`."""
-        return self._look(object_name, terrain_list, sight_dist, sight_range, 1.0)
+        return self._look(object_name, terrain_list, sight_dist, sight_range, is_ceiling=True)
 
     def get_actuator_indices(self, robot_name: str = ROBOT) -> np.ndarray:
         """Returns the flat indices of the robot's actuators in its body, in the order of the actions."""
@@ -129,40 +122,33 @@ class WorldReadings:
         """Returns the number of the robot's actuators."""
         return len(self.get_actuator_indices(robot_name))
 
-    @property
-    def _scene(self) -> Scene:
-        simulator = self.engine.simulator
-        return simulator.blocks[simulator.lane_of[self._world, 0]].scene
+    def _read(self, name: str) -> tuple[np.ndarray, np.ndarray]:
+        """Returns an object's numbers, by the columns of `Readings.numbers`, and its (2, n) points minus its COM.
 
-    def _read(self, name: str) -> Readings | None:
-        """Returns what the task reads of an object, None where it does not, so that observations and this agree."""
-        snapshot = self.engine.snapshot
-        return snapshot.robot if name == ROBOT else snapshot.objects.get(name)
+        They are the task's own where it reads the object, so that observations and this agree.
+        """
+        simulator, world, snapshot = self.engine.simulator, self._world, self.engine.snapshot
+        n = len(simulator.object(name, world).places)
+        readings = snapshot.robot if name == ROBOT else snapshot.objects.get(name)
+        if readings is None:
+            readings = new_readings(world + 1, n)
+            number = [placed.name for placed in simulator.objects(world)].index(name)
+            read_object(simulator.storage, np.array([world]), number, False, np.zeros(N_SCRATCH * (n + 2)), *readings)
+        return readings.numbers[world], readings.relative[world, :, :n]
 
     def _check_time(self, time: int) -> None:
         if time != self.get_time():
             raise ValueError(f"time: got {time}, only the present env-step is kept, {self.get_time()}")
 
-    def _look(self, name: str, terrain: Sequence[str], radius: int, reach: float, direction: float) -> np.ndarray:
-        com = self.get_pos_com_obs(name) / VOXEL
+    def _look(self, name: str, terrain: Sequence[str], radius: int, reach: float, *, is_ceiling: bool) -> np.ndarray:
+        cx, cy = self._read(name)[0][CENTRE : CENTRE + 2]
         x, y = np.concatenate([self.points(each) for each in terrain], axis=1) / VOXEL
-        distance = direction * (y - com[1])
-        seen = np.full(2 * radius + 1, float(reach))
+        distance, nothing = (y - cy, cy + reach - cy) if is_ceiling else (cy - y, cy - (cy - reach))
+        seen = np.empty(2 * radius + 1)
         for i in range(-radius, radius + 1):
-            column = (x > com[0] + (i - 0.5)) & (x < com[0] + (i + 0.5)) & (distance > 0.0)
-            seen[i + radius] = min(reach, distance[column].min(initial=np.inf))
+            near = distance[(x > cx + (i - 0.5)) & (x < cx + (i + 0.5)) & (distance > 0.0)]
+            seen[i + radius] = min(reach, near.min() if near.size else nothing)
         return VOXEL * seen
-
-
-def _orientation(was: np.ndarray, now: np.ndarray) -> float:
-    """Returns the orientation of (2, n) points against those at reset, by the rule of `evogymcm.sim.readings`."""
-    a, b = was - was.mean(1, keepdims=True), now - now.mean(1, keepdims=True)
-    sizes, product = np.hypot(*a), np.hypot(*a) * np.hypot(*b)
-    cosine = np.where(product < 1e-7, 0.99999, (a * b).sum(0) / np.maximum(product, 1e-7))
-    cosine = np.where(cosine > 1.0, 0.99999, np.where(cosine < -1.0, -0.99999, cosine))
-    angle = float(sizes @ np.arccos(cosine) / sizes.sum())
-    turning = ((b[0] * a[1] - b[1] * a[0]) / np.maximum(product, 1e-7)).sum()
-    return _TWO_PI - angle if turning > 0.0 else angle
 
 
 __all__ = ["WorldReadings"]

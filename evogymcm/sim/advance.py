@@ -1,216 +1,280 @@
-"""One env-step of a block: eight worlds with one topology, thirty substeps."""
+"""One env-step of worlds, one after another: thirty substeps each."""
 
 from typing import NamedTuple
 
 import numpy as np
 
-from evogymcm.sim import lanes
 from evogymcm.sim._jit import kernel
-from evogymcm.sim.candidates import collapsed, list_candidates, lists_hold
+from evogymcm.sim.candidates import N_FOUND, collapsed, list_candidates, lists_hold
 from evogymcm.sim.constants import MISSING, PhysicsValues
-from evogymcm.sim.contact import respond
-from evogymcm.sim.scene import Layout
+from evogymcm.sim.contact import N_HOW, N_WHICH, Contacts, Sorting, apply_contacts, find_contacts
 from evogymcm.sim.springs import (
-    CONSTANT,
-    FACTOR,
-    GOAL,
-    N_POINT_ROWS,
-    N_SPRING_ROWS,
-    N_STATE_ROWS,
-    VY,
-    Pulls,
-    X,
+    FIRST_FORCE,
+    SpringScratch,
+    SpringState,
+    SpringTables,
     integrate,
     limit_lengths,
     limit_rigid,
 )
-
-ALL_LANES = (1 << lanes.N_LANES) - 1
-
-
-class State(NamedTuple):
-    """What changes in a block: P moving points, S springs, C moving surface voxels. Made once, reused.
-
-    Those with lanes are tables, see `lanes.new_table`.
-    """
-
-    points: np.ndarray  # (N_POINT_ROWS, P, 8)
-    saved: np.ndarray  # (N_STATE_ROWS, P, 8) the state before the present env-step
-    springs: np.ndarray  # (N_SPRING_ROWS, S, 8)
-    boxes: np.ndarray  # (4, C, 8)
-    nearby: np.ndarray  # (P,)
-    beyond: np.ndarray  # (S,)
-    pairs: np.ndarray  # (8, capacity, 3)
-    counts: np.ndarray  # (8,)
-    crowded: np.ndarray  # (n, 2)
+from evogymcm.sim.tables import END_CELL, FIRST_CELL, Layout, Surface, Terrain, in_two, layout_of, part, terrain_of
+from evogymcm.sim.vectors import absolute, aligned_zeros, less, load, store
 
 
-def new_state(layout: Layout) -> State:
-    """Returns a block's state with every lane at reset and every spring at its rest length and S = 1."""
-    n_points, n_springs, n_cells = len(layout.initial), len(layout.rest), len(layout.grid_cells)
-    n_robot_cells = int(layout.objects[0, 3])
-    state = State(
-        points=lanes.new_table(N_POINT_ROWS, n_points),
-        saved=lanes.new_table(N_STATE_ROWS, n_points),
-        springs=lanes.new_table(N_SPRING_ROWS, n_springs),
-        boxes=lanes.aligned_zeros(4, n_cells, lanes.N_LANES),
-        nearby=np.zeros(n_points, np.int32),
-        beyond=np.zeros(n_springs, np.int32),
-        pairs=np.zeros((lanes.N_LANES, 16 * n_cells + 64, 3), np.int32),
-        counts=np.zeros(lanes.N_LANES, np.int32),
-        crowded=np.zeros((max(n_robot_cells * (n_robot_cells - 1) // 2, 1), 2), np.int32),
-    )
-    state.springs[CONSTANT] = layout.constants[:, None]
-    state.springs[FACTOR] = 1.0
-    state.springs[GOAL] = layout.rest[:, None]
-    reset_lanes(layout, state, np.ones(lanes.N_LANES, bool))
-    return state
+class Storage(NamedTuple):
+    """All worlds of a simulator. N worlds, D designs (robots in their sceneries)."""
+
+    ints: np.ndarray  # (D, ...) int32 rows of `Layout`s, see `tables.pack`
+    floats: np.ndarray  # (D, ...) their numbers
+    terrain_ints: np.ndarray  # (sceneries, ...) the same of `Terrain`s
+    terrain_floats: np.ndarray
+    design_of: np.ndarray  # (N, 2) design and scenery of each world
+    state: np.ndarray  # (N, ...) x y of points, v, old x y; constants, factors and goals of springs
+    physics: np.ndarray  # `PhysicsValues`
 
 
-def laid_out(state: State) -> State:
-    """Returns the state with its tables in memory as `new_state` lays them out, which a copy of an array loses."""
-    names = ("points", "saved", "springs")
-    tables = {name: lanes.new_table(*getattr(state, name).shape[:2]) for name in names}
-    fresh = state._replace(**tables, boxes=lanes.aligned_zeros(*state.boxes.shape))
-    for name in (*names, "boxes"):
-        getattr(fresh, name)[...] = getattr(state, name)
-    return fresh
+class Scratch(NamedTuple):
+    """What a thread needs to advance a world."""
+
+    floats: np.ndarray
+    ints: np.ndarray
+    keys: np.ndarray
 
 
-def reset_lanes(layout: Layout, state: State, chosen: np.ndarray) -> None:
-    """Puts the lanes of the (8,) bool mask back to their initial positions, at rest."""
-    start = layout.initial.T[:, :, None]
-    state.points[:N_STATE_ROWS, :, chosen] = np.concatenate([start, np.zeros_like(start), start])
+class Room(NamedTuple):
+    """How much of what a scratch has room for."""
+
+    numbers: int  # of points' coordinates
+    springs: int
+    cells: int
+    crowded: int  # pairs of the robot's voxels
+    nodes: int  # of the trees
+    objects: int
+    candidates: int
+    contacts: int
+
+
+def new_scratch(room: Room) -> Scratch:
+    """Returns memory for worlds that fit in `room`, whose last two parts the kernel reads off what is left."""
+    floats = 11 * room.numbers + 3 * room.springs + FIRST_FORCE + 4 * (room.cells + 8)
+    floats += N_HOW * room.contacts + 4 * room.nodes
+    ints = room.springs + room.numbers // 2 + 2 * room.crowded + room.objects
+    ints += N_FOUND * room.candidates + (N_WHICH + 8) * room.contacts
+    memory = np.zeros(8 + ints, np.int32)
+    memory[:8] = room
+    return Scratch(aligned_zeros(floats), memory, np.zeros(6 * room.contacts, np.uint64))
 
 
 @kernel
-def set_goals(layout: Layout, springs: np.ndarray, worlds: np.ndarray, actuation: np.ndarray) -> None:
-    """Sets the lengths that actuators drive their edges to.
-
-    Args:
-        layout: The scene; its drivers are columns of `actuation`.
-        springs: (N_SPRING_ROWS, S, 8) springs.
-        worlds: (8,) row of `actuation` of each lane, MISSING for none.
-        actuation: (worlds, voxels) target lengths relative to rest.
-    """
-    for s in range(layout.drivers.shape[0]):
-        one, two = layout.drivers[s, 0], layout.drivers[s, 1]
-        if one == MISSING:
-            continue
-        for lane in range(lanes.N_LANES):
-            world = worlds[lane]
-            if world == MISSING:
-                continue
-            target = actuation[world, one]
-            if two != MISSING:
-                target = (target + actuation[world, two]) / 2.0
-            springs[GOAL, s, lane] = layout.rest[s] * target
+def set_goals(layout: Layout, goal: np.ndarray, actuation: np.ndarray) -> None:
+    """Sets the lengths that actuators drive their edges to, from one number for each cell, relative to rest."""
+    for i in range(0, layout.driven.shape[0], 3):
+        s, one, two = layout.driven[i], layout.driven[i + 1], layout.driven[i + 2]
+        target = actuation[one]
+        if two != MISSING:
+            target = (target + actuation[two]) / 2.0
+        goal[s] = layout.rest[s] * target
 
 
 @kernel
-def set_constants(layout: Layout, springs: np.ndarray, worlds: np.ndarray, stiffness: np.ndarray) -> None:
-    """Sets spring constants or their factors, by the edge rule, from (worlds, voxels) stiffness factors."""
-    for s in range(layout.owners.shape[0]):
-        one, two = layout.owners[s, 0], layout.owners[s, 1]
-        if one == MISSING:
-            continue
-        for lane in range(lanes.N_LANES):
-            world = worlds[lane]
-            if world == MISSING:
-                continue
-            first = stiffness[world, one]
-            second = stiffness[world, two] if two != MISSING else first
-            if layout.owner_constants[s, 0] > 0.0:
-                shares = layout.owner_constants[s]
-                springs[CONSTANT, s, lane] = first * shares[0] + second * shares[1]
-            else:
-                springs[FACTOR, s, lane] = (first + second) / 2.0
+def set_constants(layout: Layout, constant: np.ndarray, factor: np.ndarray, stiffness: np.ndarray) -> None:
+    """Sets spring constants or their factors, by the edge rule, from one stiffness factor for each cell."""
+    for i in range(layout.owned.shape[0] // 3):
+        s, one, two = layout.owned[3 * i], layout.owned[3 * i + 1], layout.owned[3 * i + 2]
+        first = stiffness[one]
+        second = stiffness[two] if two != MISSING else first
+        if layout.shares.shape[0] > 0:
+            constant[s] = first * layout.shares[2 * i] + second * layout.shares[2 * i + 1]
+        else:
+            factor[s] = (first + second) / 2.0
 
 
 @kernel
-def _not_finite(points: np.ndarray) -> int:
-    """Returns the mask of lanes in which some position or velocity is NaN or infinite."""
-    good = ALL_LANES
-    for row in range(X, VY + 1):
-        for p in range(points.shape[1]):
-            good &= lanes.less(lanes.absolute(lanes.load(points, row, p)), np.inf)
-    return ALL_LANES & ~good
+def set_stiffness(storage: Storage, worlds: np.ndarray, stiffness: np.ndarray) -> None:
+    """Sets the spring constants of worlds by the edge rule from (N, V) stiffness factors."""
+    for w in worlds:
+        design = storage.design_of[w, 0]
+        layout = layout_of(storage.ints[design], storage.floats[design])
+        m, s = layout.initial.shape[0], layout.rest.shape[0]
+        row = storage.state[w]
+        set_constants(layout, part(row, 3 * m, s), part(row, 3 * m + s, s), stiffness[w])
 
 
 @kernel
-def _copy_lanes(source: np.ndarray, target: np.ndarray, mask: int) -> None:
-    """Copies the state rows of the masked lanes."""
-    for row in range(N_STATE_ROWS):
-        for p in range(source.shape[1]):
-            lanes.store(target, row, p, lanes.select(mask, lanes.load(source, row, p), lanes.load(target, row, p)))
+def _is_finite(xy: np.ndarray, v: np.ndarray) -> bool:
+    """Returns whether all positions and velocities are finite."""
+    for i in range(0, xy.shape[0], 8):
+        if less(absolute(load(xy, i)), np.inf) & less(absolute(load(v, i)), np.inf) != 255:
+            return False
+    return True
+
+
+@kernel
+def _copy(source: np.ndarray, target: np.ndarray) -> None:
+    for i in range(0, source.shape[0], 8):
+        store(target, i, load(source, i))
+
+
+@kernel
+def _advance(
+    layout: Surface,
+    terrain: Terrain,
+    tables: SpringTables,
+    state: SpringState,
+    scratch: SpringScratch,
+    listed: np.ndarray,
+    boxes: np.ndarray,
+    found: np.ndarray,
+    crowded: np.ndarray,
+    contacts: Contacts,
+    physics: PhysicsValues,
+    n_substeps: int,
+) -> int:
+    """Advances a world; returns 1 where it became unstable, MISSING where a list was too short, else 0."""
+    n_found, n_crowded, has_force = 0, 0, True
+    n_cells = layout.objects[END_CELL] - layout.objects[FIRST_CELL]
+    xy, force = state.xy, scratch.contact
+    for substep in range(n_substeps):
+        if substep == 0 or not lists_hold(xy, listed):
+            n_found, n_crowded = list_candidates(layout, terrain, xy, boxes, found, crowded)
+            if n_found > found.shape[0]:
+                return MISSING
+            _copy(xy, listed)
+        # Decided by the positions at the substep's start; what the substep would still change is given up anyway.
+        if n_crowded > 0 and collapsed(layout.corners, n_cells, xy, crowded, n_crowded):
+            return 1
+        n = find_contacts(layout, terrain, xy, found, n_found, contacts)
+        if n > contacts.which.shape[0]:
+            return MISSING
+        if has_force:
+            for i in range(0, force.shape[0], 8):
+                store(force, i, 0.0)
+        has_force = n > 0
+        if has_force:
+            apply_contacts(layout, terrain, xy, state.old, contacts, n, force, physics)
+        integrate(tables, state, scratch, physics)
+        limit_lengths(tables, state, scratch)
+        limit_rigid(tables.rigid, xy)
+    return 0 if _is_finite(xy, state.v) else 1
 
 
 @kernel
 def advance(
-    layout: Layout,
-    physics: PhysicsValues,
-    state: State,
+    storage: Storage,
+    scratch: Scratch,
     worlds: np.ndarray,
     actuation: np.ndarray,
     stiffness: np.ndarray,
     n_substeps: int,
+    unstable: np.ndarray,
 ) -> int:
-    """Advances the lanes that have a world by one env-step.
+    """Advances worlds by one env-step.
 
-    A lane that becomes unstable, or in which a number is no longer finite, gets the state from before the step back.
+    A world that becomes unstable, or in which a number is no longer finite, gets the state from before the step back.
 
     Args:
-        layout: The scene; its drivers and owners are columns of `actuation` and `stiffness`.
-        physics: Constants.
-        state: The block's state.
-        worlds: (8,) row of `actuation` and `stiffness` of each lane, MISSING for lanes that stay as they are.
+        storage: All worlds.
+        scratch: The thread's memory.
+        worlds: (m,) the worlds to advance.
         actuation: (N, V) target lengths relative to rest.
         stiffness: (N, V) stiffness factors, or (0, V) to keep the present ones.
         n_substeps: Integration steps.
+        unstable: (N,) receives which of them became unstable.
 
     Returns:
-        The mask of unstable lanes, or MISSING where a candidate list was too short: then no lane has moved.
+        How many worlds were advanced: fewer than m where a list was too short for the next one, which has not moved.
     """
-    active = 0
-    for lane in range(lanes.N_LANES):
-        if worlds[lane] != MISSING:
-            active |= 1 << lane
-    set_goals(layout, state.springs, worlds, actuation)
-    if stiffness.shape[0] > 0:
-        set_constants(layout, state.springs, worlds, stiffness)
-    ends, rest, is_free, corners = layout.ends, layout.rest, layout.is_free, layout.corners
-    points, springs, boxes, pairs, counts = state.points, state.springs, state.boxes, state.pairs, state.counts
-    n_robot_cells = layout.objects[0, 3]
-    pulls = Pulls(layout.pulls_start, layout.pulls_turn, layout.pulls)
-    _copy_lanes(points, state.saved, ALL_LANES)
-    unstable, n_crowded = 0, 0
-    for substep in range(n_substeps):
-        going = active & ~unstable
-        if substep == 0 or not lists_hold(points, going):
-            n_crowded = list_candidates(layout, points, boxes, going, state.nearby, pairs, counts, state.crowded)
-            longest = 0
-            for lane in range(lanes.N_LANES):
-                longest = max(longest, counts[lane])
-            if longest > pairs.shape[1]:
-                _copy_lanes(state.saved, points, ALL_LANES)
-                return MISSING
-        # Decided by the positions at the substep's start; what the substep would still change is given up anyway.
-        unstable |= going & collapsed(corners, n_robot_cells, points, boxes, state.crowded, n_crowded)
-        respond(
-            corners,
-            layout.sides,
-            layout.is_surface,
-            layout.cell_object,
-            layout.static_points,
-            points,
-            active & ~unstable,
-            pairs,
-            counts,
-            physics,
+    ph = storage.physics
+    physics = PhysicsValues(ph[0], ph[1], ph[2], ph[3], ph[4], ph[5], ph[6], ph[7], ph[8], ph[9], ph[10])
+    z = scratch.ints
+    room = Room(z[0], z[1], z[2], z[3], z[4], z[5], z[6], z[7])
+    for done in range(worlds.shape[0]):
+        w = worlds[done]
+        design, scenery = storage.design_of[w, 0], storage.design_of[w, 1]
+        layout = layout_of(storage.ints[design], storage.floats[design])
+        terrain = terrain_of(storage.terrain_ints[scenery], storage.terrain_floats[scenery])
+        tables = SpringTables(layout.ends, layout.rest, layout.groups, layout.pulls, layout.free, layout.rigid)
+        m, s = layout.initial.shape[0], layout.rest.shape[0]
+        row = storage.state[w]
+        state = SpringState(
+            part(row, 0, m),
+            part(row, m, m),
+            part(row, 2 * m, m),
+            part(row, 3 * m, s),
+            part(row, 3 * m + s, s),
+            part(row, 3 * m + 2 * s, s),
         )
-        integrate(ends, pulls, is_free, points, springs, physics)
-        limit_lengths(ends, rest, is_free, points, springs, state.beyond)
-        limit_rigid(layout.rigid, ends, rest, points)
-    unstable |= active & _not_finite(points)
-    _copy_lanes(state.saved, points, ALL_LANES & ~(active & ~unstable))
-    return unstable
+        floats, ints = scratch.floats, scratch.ints
+        spring_scratch = SpringScratch(
+            part(floats, 0, m),
+            part(floats, room.numbers, m),
+            part(floats, 2 * room.numbers, m),
+            part(floats, 3 * room.numbers, m),
+            part(floats, 4 * room.numbers, m),
+            part(floats, 5 * room.numbers, m),
+            part(floats, 6 * room.numbers, m),
+            part(floats, 11 * room.numbers, s),
+            part(floats, 11 * room.numbers + room.springs, FIRST_FORCE + 2 * s),
+            part(ints, 8, s),
+        )
+        listed, saved = part(floats, 7 * room.numbers, m), part(floats, 8 * room.numbers, 3 * m)
+        used = 11 * room.numbers + 3 * room.springs + FIRST_FORCE
+        boxes = in_two(part(floats, used, 4 * (room.cells + 8)), room.cells + 8)
+        used += 4 * (room.cells + 8)
+        how = in_two(part(floats, used, N_HOW * room.contacts), N_HOW)
+        node_boxes = in_two(part(floats, used + N_HOW * room.contacts, 4 * room.nodes), room.nodes)
+        used = 8 + room.springs
+        pushed_by = part(ints, used, m // 2)
+        used += room.numbers // 2
+        crowded = in_two(part(ints, used, 2 * room.crowded), 2)
+        used += 2 * room.crowded
+        is_fresh = part(ints, used, room.objects)
+        used += room.objects
+        found = in_two(part(ints, used, N_FOUND * room.candidates), N_FOUND)
+        used += N_FOUND * room.candidates
+        which = in_two(part(ints, used, N_WHICH * room.contacts), N_WHICH)
+        used += N_WHICH * room.contacts
+        leaves = in_two(part(ints, used, 6 * room.contacts), 3)
+        order = part(ints, used + 6 * room.contacts, 2 * room.contacts)
+        keys = in_two(part(scratch.keys, 0, 6 * room.contacts), 3)
+        contacts = Contacts(which, how, pushed_by, Sorting(node_boxes, keys, leaves, order, is_fresh))
+
+        set_goals(layout, state.goal, actuation[w])
+        if stiffness.shape[0] > 0:
+            set_constants(layout, state.constant, state.factor, stiffness[w])
+        _copy(part(row, 0, 3 * m), saved)
+        surface = Surface(
+            layout.objects,
+            layout.corners,
+            layout.sides,
+            layout.surface,
+            layout.cell_object,
+            layout.apart,
+            layout.uses_start,
+            layout.uses,
+            layout.node_start,
+            layout.children,
+            layout.node_place,
+            layout.node_voxel,
+            layout.leaf,
+        )
+        result = _advance(
+            surface,
+            terrain,
+            tables,
+            state,
+            spring_scratch,
+            listed,
+            boxes,
+            found,
+            crowded,
+            contacts,
+            physics,
+            n_substeps,
+        )
+        if result != 0:
+            _copy(saved, part(row, 0, 3 * m))
+        if result == MISSING:
+            return done
+        unstable[w] = result == 1
+    return worlds.shape[0]

@@ -1,236 +1,144 @@
 """Which voxels could touch: lists that hold for a while, so that the exact rule has little to look at.
 
-`list_candidates` makes, for each lane, a list of (main voxel, corner, ref voxel) whose corner lies within SKIN of the
-ref voxel's bounding box. It holds until a point has moved by half of SKIN. A list is always in the same order and holds
-more than what touches, never less: so neither the other lanes nor the moment of listing can be seen in a result.
-
-The order (object by object, ref voxels outside, corners inside) is part of the benchmark: forces are summed in it, and
-where a robot starts corner on corner with the terrain, the rounding of the sums decides what touches next.
+`list_candidates` lists each (corner, voxel) whose corner lies within SKIN of the voxel's bounding box. The list holds
+until a point has moved by half of SKIN, and holds more than what touches, never less; contacts are applied in an order
+of their own (`contact.py`), so that the moment of listing cannot be seen in a result.
 """
 
 import numpy as np
 
-from evogymcm.sim import lanes
 from evogymcm.sim._jit import inlined, kernel
 from evogymcm.sim.constants import MISSING, VOXEL
-from evogymcm.sim.scene import Layout
-from evogymcm.sim.springs import LISTED_X, LISTED_Y, X, Y
+from evogymcm.sim.tables import (
+    END_CELL,
+    END_POINT,
+    FIRST_CELL,
+    FIRST_POINT,
+    N_OBJECT_COLUMNS,
+    Surface,
+    Terrain,
+)
 from evogymcm.sim.topology import BL, BR, TL, TR
+from evogymcm.sim.vectors import absolute, alternating, less_equal, load, spread
 
 SKIN = 0.02  # metres
+N_FOUND = 6  # numbers of a candidate, see `list_candidates`
 LOW_X, LOW_Y, HIGH_X, HIGH_Y = range(4)  # rows of `boxes`
 _ROUNDING = 1e-6  # of a voxel: fixed corners stand on the grid up to rounding
+_PER_METRE = 1.0 / VOXEL  # voxels
 _CORNER_AT = ((TR, TL), (BR, BL))  # which corner of a cell a lattice point is: by rows up, columns right to the cell
+_X_BITS = 0b01010101  # of a mask of four pairs
 
 
 @kernel
-def lists_hold(points: np.ndarray, active: int) -> bool:
-    """Returns whether no point of an active lane has moved too far since the lists were made (False for NaN)."""
-    for p in range(points.shape[1]):
-        dx = lanes.absolute(lanes.load(points, X, p) - lanes.load(points, LISTED_X, p))
-        dy = lanes.absolute(lanes.load(points, Y, p) - lanes.load(points, LISTED_Y, p))
-        if lanes.less_equal(dx, 0.5 * SKIN) & lanes.less_equal(dy, 0.5 * SKIN) & active != active:
-            return False
-    return True
+def lists_hold(xy: np.ndarray, listed: np.ndarray) -> bool:
+    """Returns whether no point has moved too far since the lists were made at `listed` (False for NaN)."""
+    still = 255
+    for i in range(0, xy.shape[0], 8):
+        still &= less_equal(absolute(load(xy, i) - load(listed, i)), 0.5 * SKIN)
+    return still == 255
 
 
 @kernel
-def bound(corners: np.ndarray, points: np.ndarray, boxes: np.ndarray) -> None:
-    """Sets the bounding boxes of the moving surface voxels."""
-    for c in range(boxes.shape[1]):
-        low_x = high_x = lanes.load(points, X, corners[c, 0])
-        low_y = high_y = lanes.load(points, Y, corners[c, 0])
+def bound(corners: np.ndarray, xy: np.ndarray, boxes: np.ndarray) -> None:
+    """Sets the (4, C or more) bounding boxes of the moving surface voxels."""
+    for c in range(corners.shape[0] // 4):
+        p = corners[4 * c]
+        low_x = high_x = xy[p]
+        low_y = high_y = xy[p + 1]
         for k in range(1, 4):
-            px, py = lanes.load(points, X, corners[c, k]), lanes.load(points, Y, corners[c, k])
-            low_x, high_x = lanes.minimum(low_x, px), lanes.maximum(high_x, px)
-            low_y, high_y = lanes.minimum(low_y, py), lanes.maximum(high_y, py)
-        lanes.store(boxes, LOW_X, c, low_x)
-        lanes.store(boxes, LOW_Y, c, low_y)
-        lanes.store(boxes, HIGH_X, c, high_x)
-        lanes.store(boxes, HIGH_Y, c, high_y)
+            p = corners[4 * c + k]
+            x, y = xy[p], xy[p + 1]
+            low_x, high_x = x if x < low_x else low_x, x if x > high_x else high_x
+            low_y, high_y = y if y < low_y else low_y, y if y > high_y else high_y
+        boxes[LOW_X, c] = low_x
+        boxes[LOW_Y, c] = low_y
+        boxes[HIGH_X, c] = high_x
+        boxes[HIGH_Y, c] = high_y
 
 
 @inlined
-def overlap(boxes: np.ndarray, a: int, b: int, margin: float) -> int:
-    """Returns the mask of lanes where the boxes of two voxels are no more than `margin` apart."""
-    return (
-        lanes.less_equal(lanes.load(boxes, LOW_X, a) - margin, lanes.load(boxes, HIGH_X, b))
-        & lanes.less_equal(lanes.load(boxes, LOW_X, b) - margin, lanes.load(boxes, HIGH_X, a))
-        & lanes.less_equal(lanes.load(boxes, LOW_Y, a) - margin, lanes.load(boxes, HIGH_Y, b))
-        & lanes.less_equal(lanes.load(boxes, LOW_Y, b) - margin, lanes.load(boxes, HIGH_Y, a))
-    )
+def position(xy: np.ndarray, static: np.ndarray, place: int) -> tuple[float, float]:
+    """Returns where a moving or fixed point is."""
+    if place >= 0:
+        return xy[place], xy[place + 1]
+    return static[~place], static[~place + 1]
 
 
 @inlined
-def _is_near(px, py, low_x, low_y, high_x, high_y) -> int:  # type: ignore[no-untyped-def]
-    """Returns the mask of lanes where p is within SKIN of a box."""
-    return (
-        lanes.less_equal(low_x - SKIN, px)
-        & lanes.less_equal(px, high_x + SKIN)
-        & lanes.less_equal(low_y - SKIN, py)
-        & lanes.less_equal(py, high_y + SKIN)
-    )
+def _append(layout: Surface, terrain: Terrain, place: int, c: int, found: np.ndarray, n: int) -> int:
+    """Adds a point against a voxel to the list, unless it is the voxel's own, and returns the new length.
+
+    A list that is too short shows as a length beyond it.
+    """
+    corners, first = (layout.corners, 4 * c) if c >= 0 else (terrain.corners, 4 * ~c)
+    for k in range(4):
+        if corners[first + k] == place:
+            return n
+    if n < found.shape[0]:
+        found[n, 0], found[n, 1] = place, c
+        for k in range(4):
+            found[n, 2 + k] = corners[first + k]
+    return n + 1
 
 
-@inlined
-def _within(points: np.ndarray, boxes: np.ndarray, p: int, c: int) -> int:
-    """Returns the mask of lanes where point `p` is within SKIN of voxel `c`'s box."""
-    low_x, low_y = lanes.load(boxes, LOW_X, c), lanes.load(boxes, LOW_Y, c)
-    high_x, high_y = lanes.load(boxes, HIGH_X, c), lanes.load(boxes, HIGH_Y, c)
-    px, py = lanes.load(points, X, p), lanes.load(points, Y, p)
-    return _is_near(px, py, low_x, low_y, high_x, high_y)
-
-
-@inlined
-def _append(
-    corners: np.ndarray,
-    uses_start: np.ndarray,
-    uses: np.ndarray,
-    p: int,
+@kernel
+def _list_points(
+    layout: Surface,
+    terrain: Terrain,
+    xy: np.ndarray,
+    box: tuple[float, float, float, float],
+    first: int,
+    end: int,
     c: int,
-    n_mains: int,
-    mask: int,
-    pairs: np.ndarray,
-    counts: np.ndarray,
-) -> None:
-    """Adds the surface voxels below `n_mains` that have corner `p` against voxel `c`, in the lanes of the mask.
-
-    A voxel's own corners never enter it. A list that is too short shows as a count beyond its length.
-    """
-    if p == corners[c, TL] or p == corners[c, TR] or p == corners[c, BL] or p == corners[c, BR]:
-        return
-    for lane in range(lanes.N_LANES):
-        if mask >> lane & 1:
-            n = counts[lane]
-            for u in range(uses_start[p], uses_start[p + 1]):
-                if uses[u, 0] >= n_mains:
-                    break
-                if n < pairs.shape[1]:
-                    pairs[lane, n, 0] = uses[u, 0]
-                    pairs[lane, n, 1] = uses[u, 1]
-                    pairs[lane, n, 2] = c
-                n += 1
-            counts[lane] = n
-
-
-@kernel
-def _list_anchored(
-    layout: Layout, i: int, points: np.ndarray, boxes: np.ndarray, active: int, pairs: np.ndarray, counts: np.ndarray
-) -> None:
-    """Lists what touches in anchored object `i`, and between it and all fixed voxels.
-
-    It stays near its place: only pairs count that were as near at reset as its points have moved since.
-    """
-    corners, near, near_gap, initial = layout.corners, layout.near, layout.near_gap, layout.initial
-    farthest = lanes.spread(0.0)
-    for p in range(layout.objects[i, 0], layout.objects[i, 1]):
-        dx = lanes.absolute(lanes.load(points, X, p) - initial[p, 0])
-        dy = lanes.absolute(lanes.load(points, Y, p) - initial[p, 1])
-        farthest = lanes.maximum(farthest, lanes.maximum(dx, dy))
-    n_points = points.shape[1]
-    for n in range(layout.near_start[i], layout.near_start[i + 1]):
-        if not lanes.less_equal(near_gap[n] - SKIN, 2.0 * farthest) & active:
-            break
-        p, c = near[n, 0], near[n, 1]
-        if p < n_points:
-            px, py = lanes.load(points, X, p), lanes.load(points, Y, p)
-        else:
-            q = p - n_points
-            px, py = lanes.spread(layout.static_points[q, 0]), lanes.spread(layout.static_points[q, 1])
-        if c < boxes.shape[1]:
-            low_x, low_y = lanes.load(boxes, LOW_X, c), lanes.load(boxes, LOW_Y, c)
-            high_x, high_y = lanes.load(boxes, HIGH_X, c), lanes.load(boxes, HIGH_Y, c)
-        else:  # a fixed voxel: a square
-            x, y = _corner(initial, layout.static_points, corners[c, BL])
-            low_x, low_y = lanes.spread(x), lanes.spread(y)
-            x, y = _corner(initial, layout.static_points, corners[c, TR])
-            high_x, high_y = lanes.spread(x), lanes.spread(y)
-        mask = _is_near(px, py, low_x, low_y, high_x, high_y) & active
-        if mask:
-            # A fixed voxel against a fixed one has no effect.
-            n_mains = corners.shape[0] if c < boxes.shape[1] else boxes.shape[1]
-            _append(corners, layout.uses_start, layout.uses, p, c, n_mains, mask, pairs, counts)
+    found: np.ndarray,
+    n: int,
+) -> int:
+    """Lists the surface points between two places within SKIN of the box of voxel `c`."""
+    low = alternating(box[0] - SKIN, box[1] - SKIN)
+    high = alternating(box[2] + SKIN, box[3] + SKIN)
+    for i in range(first, end, 8):
+        numbers = load(xy, i)
+        inside = less_equal(low, numbers) & less_equal(numbers, high)
+        inside &= inside >> 1 & _X_BITS
+        if inside:
+            for k in range(0, 8, 2):
+                p = (i + k) >> 1
+                if inside >> k & 1 and layout.uses_start[p] != layout.uses_start[p + 1]:
+                    n = _append(layout, terrain, np.int64(i + k), np.int64(c), found, n)
+    return n
 
 
 @inlined
-def _corner(initial: np.ndarray, static_points: np.ndarray, p: int) -> tuple[float, float]:
-    """Returns where a fixed point is."""
-    n = initial.shape[0]
-    if p < n:
-        return initial[p, 0], initial[p, 1]
-    return static_points[p - n, 0], static_points[p - n, 1]
-
-
-@kernel
-def _list_own(
-    layout: Layout, i: int, points: np.ndarray, boxes: np.ndarray, active: int, pairs: np.ndarray, counts: np.ndarray
-) -> None:
-    """Lists the corners of object `i`, which moves freely, near its own voxels."""
-    corners, uses_start, uses, objects = layout.corners, layout.uses_start, layout.uses, layout.objects
-    for c in range(objects[i, 2], objects[i, 3]):
-        for p in range(objects[i, 0], objects[i, 1]):
-            if uses_start[p] == uses_start[p + 1]:
-                continue  # not on the surface
-            mask = _within(points, boxes, p, c) & active
-            if mask:
-                _append(corners, uses_start, uses, p, c, boxes.shape[1], mask, pairs, counts)
-
-
-@kernel
-def _list_between(
-    layout: Layout,
-    i: int,
-    j: int,
-    points: np.ndarray,
-    boxes: np.ndarray,
-    active: int,
-    nearby: np.ndarray,
-    pairs: np.ndarray,
-    counts: np.ndarray,
-) -> None:
-    """Lists the corners of object `i` near the moving voxels of object `j`; `nearby` is scratch for points."""
-    corners, uses_start, uses, objects = layout.corners, layout.uses_start, layout.uses, layout.objects
-    low_x, low_y, high_x, high_y = _bound_points(points, objects[j, 0], objects[j, 1])
-    n = 0
-    for p in range(objects[i, 0], objects[i, 1]):
-        px, py = lanes.load(points, X, p), lanes.load(points, Y, p)
-        mask = _is_near(px, py, low_x, low_y, high_x, high_y) & active
-        if mask:
-            nearby[n] = p
-            n += 1
-    if n == 0:
-        return
-    low_x, low_y, high_x, high_y = _bound_points(points, objects[i, 0], objects[i, 1])
-    for c in range(objects[j, 2], objects[j, 3]):
-        meets = (
-            lanes.less_equal(lanes.load(boxes, LOW_X, c) - SKIN, high_x)
-            & lanes.less_equal(low_x, lanes.load(boxes, HIGH_X, c) + SKIN)
-            & lanes.less_equal(lanes.load(boxes, LOW_Y, c) - SKIN, high_y)
-            & lanes.less_equal(low_y, lanes.load(boxes, HIGH_Y, c) + SKIN)
-            & active
-        )
-        if meets:
-            for m in range(n):
-                mask = _within(points, boxes, nearby[m], c) & meets
-                if mask:
-                    _append(corners, uses_start, uses, nearby[m], c, boxes.shape[1], mask, pairs, counts)
+def _box(boxes: np.ndarray, c: int) -> tuple[float, float, float, float]:
+    return boxes[LOW_X, c], boxes[LOW_Y, c], boxes[HIGH_X, c], boxes[HIGH_Y, c]
 
 
 @inlined
-def _bound_points(points: np.ndarray, first: int, end: int):  # type: ignore[no-untyped-def]
-    """Returns the bounding box of the points from `first` to `end`."""
-    low_x = high_x = lanes.load(points, X, first)
-    low_y = high_y = lanes.load(points, Y, first)
-    for p in range(first + 1, end):
-        px, py = lanes.load(points, X, p), lanes.load(points, Y, p)
-        low_x, high_x = lanes.minimum(low_x, px), lanes.maximum(high_x, px)
-        low_y, high_y = lanes.minimum(low_y, py), lanes.maximum(high_y, py)
+def _near(one: tuple, two: tuple, margin: float) -> bool:
+    """Returns whether two boxes are no more than `margin` apart."""
+    return (
+        one[0] - margin <= two[2]
+        and two[0] - margin <= one[2]
+        and one[1] - margin <= two[3]
+        and two[1] - margin <= one[3]
+    )
+
+
+@kernel
+def _object_box(layout: Surface, xy: np.ndarray, first: int, end: int) -> tuple[float, float, float, float]:
+    """Returns the box around the surface points between two places: some are corners of fixed voxels alone."""
+    low_x, low_y, high_x, high_y = np.inf, np.inf, -np.inf, -np.inf
+    for i in range(first, end, 2):
+        if layout.uses_start[i >> 1] != layout.uses_start[(i >> 1) + 1]:
+            low_x, low_y = min(low_x, xy[i]), min(low_y, xy[i + 1])
+            high_x, high_y = max(high_x, xy[i]), max(high_y, xy[i + 1])
     return low_x, low_y, high_x, high_y
 
 
 @inlined
 def _range(first: float, last: float, n: int) -> tuple[int, int]:
-    """Returns the whole numbers from `first` to `last` that are in 0 ... n - 1, as a start and an end."""
+    """Returns the start and end of the whole numbers from `first` to `last` in 0 ... n - 1 (none for NaN)."""
     if not (first < n and last >= 0.0):
         return 0, 0
     return int(max(first, 0.0)), int(min(last, n - 1.0)) + 1
@@ -238,139 +146,163 @@ def _range(first: float, last: float, n: int) -> tuple[int, int]:
 
 @inlined
 def _cells(low: float, high: float, n_cells: int) -> tuple[int, int]:
-    """Returns the first and end world cells that the interval, SKIN wider, touches (none for NaN)."""
-    return _range(np.floor((low - SKIN) / VOXEL - _ROUNDING), np.floor((high + SKIN) / VOXEL + _ROUNDING), n_cells)
+    """Returns the first and end world cells that the interval, SKIN wider, touches."""
+    first, last = np.floor((low - SKIN) * _PER_METRE - _ROUNDING), np.floor((high + SKIN) * _PER_METRE + _ROUNDING)
+    return _range(first, last, n_cells)
 
 
 @inlined
 def _lines(low: float, high: float, n_cells: int) -> tuple[int, int]:
-    """Returns the first and end lines of the grid of world cells in the interval, SKIN wider (none for NaN)."""
-    first, last = np.ceil((low - SKIN) / VOXEL - _ROUNDING), np.floor((high + SKIN) / VOXEL + _ROUNDING)
+    """Returns the first and end lines of the grid of world cells in the interval, SKIN wider."""
+    first, last = np.ceil((low - SKIN) * _PER_METRE - _ROUNDING), np.floor((high + SKIN) * _PER_METRE + _ROUNDING)
     return _range(first, last, n_cells + 1)
 
 
 @kernel
 def _list_near_fixed(
-    layout: Layout, i: int, points: np.ndarray, active: int, pairs: np.ndarray, counts: np.ndarray
-) -> None:
-    """Lists the corners of object `i` near fixed voxels, which stand on the grid of world cells."""
-    n_cells = layout.grid_cells.shape[0]
-    corners, uses_start, uses, cell_at = layout.corners, layout.uses_start, layout.uses, layout.cell_at
-    height, width = cell_at.shape
-    for p in range(layout.objects[i, 0], layout.objects[i, 1]):
-        if uses_start[p] == uses_start[p + 1]:
+    layout: Surface, terrain: Terrain, first: int, end: int, xy: np.ndarray, found: np.ndarray, n: int
+) -> int:
+    """Lists the surface points between two places near fixed voxels, which stand on the grid of world cells."""
+    height, width = terrain.extent[0], terrain.extent[1]
+    for i in range(first, end, 2):
+        if layout.uses_start[i >> 1] == layout.uses_start[(i >> 1) + 1]:
             continue  # not on the surface
-        for lane in range(lanes.N_LANES):
-            if not active >> lane & 1:
-                continue
-            px, py = points[X, p, lane], points[Y, p, lane]
-            first_row, end_row = _cells(py, py, height)
-            first_column, end_column = _cells(px, px, width)
-            for row in range(first_row, end_row):
-                for column in range(first_column, end_column):
-                    c = cell_at[row, column]
-                    if c != MISSING:
-                        _append(corners, uses_start, uses, p, c, n_cells, 1 << lane, pairs, counts)
+        first_row, end_row = _cells(xy[i + 1], xy[i + 1], height)
+        if first_row == end_row:
+            continue
+        first_column, end_column = _cells(xy[i], xy[i], width)
+        for row in range(first_row, end_row):
+            for column in range(first_column, end_column):
+                d = terrain.cell_at[row * width + column]
+                if d != MISSING:
+                    n = _append(layout, terrain, np.int64(i), np.int64(~d), found, n)
+    return n
 
 
 @kernel
 def _list_fixed_near(
-    layout: Layout, i: int, boxes: np.ndarray, active: int, pairs: np.ndarray, counts: np.ndarray
-) -> None:
-    """Lists the corners of fixed voxels near those of object `i`: grid crossings in a box, and the cells round them."""
-    cell_at = layout.cell_at
-    height, width = cell_at.shape
-    for b in range(layout.objects[i, 2], layout.objects[i, 3]):
-        for lane in range(lanes.N_LANES):
-            if not active >> lane & 1:
-                continue
-            first_row, end_row = _lines(boxes[LOW_Y, b, lane], boxes[HIGH_Y, b, lane], height)
-            first_column, end_column = _lines(boxes[LOW_X, b, lane], boxes[HIGH_X, b, lane], width)
-            for row in range(first_row, end_row):
-                for column in range(first_column, end_column):
-                    for up in range(max(row - 1, 0), min(row + 1, height)):
-                        for right in range(max(column - 1, 0), min(column + 1, width)):
-                            a = cell_at[up, right]
-                            if a == MISSING:
-                                continue
-                            n = counts[lane]
-                            if n < pairs.shape[1]:
-                                pairs[lane, n, 0] = a
-                                pairs[lane, n, 1] = _CORNER_AT[up - row + 1][right - column + 1]
-                                pairs[lane, n, 2] = b
-                            counts[lane] = n + 1
+    layout: Surface, terrain: Terrain, first: int, end: int, boxes: np.ndarray, found: np.ndarray, n: int
+) -> int:
+    """Lists the fixed points near some moving voxels: grid crossings in a box, and the cells round them."""
+    height, width = terrain.extent[0], terrain.extent[1]
+    for c in range(first, end):
+        first_row, end_row = _lines(boxes[LOW_Y, c], boxes[HIGH_Y, c], height)
+        if first_row == end_row:
+            continue
+        first_column, end_column = _lines(boxes[LOW_X, c], boxes[HIGH_X, c], width)
+        for row in range(first_row, end_row):
+            for column in range(first_column, end_column):
+                start = n
+                for up in range(max(row - 1, 0), min(row + 1, height)):
+                    for right in range(max(column - 1, 0), min(column + 1, width)):
+                        d = terrain.cell_at[up * width + right]
+                        if d == MISSING:
+                            continue
+                        place = terrain.corners[4 * d + _CORNER_AT[up - row + 1][right - column + 1]]
+                        if place >= 0:
+                            continue  # its object lists it
+                        is_new = True
+                        for m in range(start, min(n, found.shape[0])):
+                            is_new &= found[m, 0] != place
+                        if is_new:
+                            n = _append(layout, terrain, np.int64(place), np.int64(c), found, n)
+    return n
 
 
 @kernel
-def _list_crowded(n_cells: int, cells: np.ndarray, boxes: np.ndarray, active: int, crowded: np.ndarray) -> int:
-    """Lists the pairs of the robot's surface voxels, more than a cell apart in the grid, that are near each other."""
-    n = 0
-    for a in range(n_cells):
-        for b in range(a):
-            apart = max(abs(cells[a, 0] - cells[b, 0]), abs(cells[a, 1] - cells[b, 1]))
-            if apart > 1 and overlap(boxes, a, b, SKIN) & active:
-                crowded[n, 0] = a
-                crowded[n, 1] = b
-                n += 1
+def _list_crowded(layout: Surface, boxes: np.ndarray, crowded: np.ndarray) -> int:
+    """Lists the pairs of the robot's voxels, more than a cell apart in the grid, that are near each other."""
+    n, first, end = 0, layout.objects[FIRST_CELL], layout.objects[END_CELL]
+    row = 0
+    for a in range(first, end):
+        low_x, low_y = spread(boxes[LOW_X, a] - SKIN), spread(boxes[LOW_Y, a] - SKIN)
+        high_x, high_y = spread(boxes[HIGH_X, a] + SKIN), spread(boxes[HIGH_Y, a] + SKIN)
+        for eight in range(first, a, 8):
+            meets = less_equal(low_x, load(boxes[HIGH_X], eight)) & less_equal(load(boxes[LOW_X], eight), high_x)
+            meets &= less_equal(low_y, load(boxes[HIGH_Y], eight)) & less_equal(load(boxes[LOW_Y], eight), high_y)
+            meets &= layout.apart[row]
+            row += 1
+            if meets:
+                for k in range(8):
+                    if meets >> k & 1:
+                        crowded[n, 0] = a
+                        crowded[n, 1] = eight + k
+                        n += 1
     return n
 
 
 @kernel
 def list_candidates(
-    layout: Layout,
-    points: np.ndarray,
-    boxes: np.ndarray,
-    active: int,
-    nearby: np.ndarray,
-    pairs: np.ndarray,
-    counts: np.ndarray,
-    crowded: np.ndarray,
-) -> int:
-    """Makes the lists anew, and returns the number of crowded voxel pairs.
+    layout: Surface, terrain: Terrain, xy: np.ndarray, boxes: np.ndarray, found: np.ndarray, crowded: np.ndarray
+) -> tuple[int, int]:
+    """Makes the lists anew.
 
     Args:
-        layout: The scene.
-        points: (N_POINT_ROWS, P, 8) state.
-        boxes: (4, C, 8) scratch for bounding boxes.
-        active: Mask of the lanes to list.
-        nearby: (P,) scratch for points.
-        pairs: (8, capacity, 3) receives (main voxel, corner, ref voxel).
-        counts: (8,) receives the lengths of the lists; beyond the capacity where a list did not fit.
-        crowded: (n, 2) receives the pairs of voxels that the stability count has to look at.
+        layout: The scene's tables.
+        terrain: Its fixed voxels.
+        xy: Positions.
+        boxes: (4, C + 8 at least) scratch for bounding boxes.
+        found: (capacity, N_FOUND) receives rows of the place of a point, a voxel, and the places of its corners.
+        crowded: (n, 2) receives the pairs of robot voxels that the stability count has to look at.
+
+    Returns:
+        The lengths of both lists; the first is beyond the capacity where it did not fit.
     """
-    for lane in range(lanes.N_LANES):
-        counts[lane] = 0
-    bound(layout.corners, points, boxes)
-    n_objects = layout.objects.shape[0]
-    for i in range(n_objects):
-        if layout.objects[i, 0] == layout.objects[i, 1]:
+    bound(layout.corners, xy, boxes)
+    n = int(np.int64(0))  # a constant would be compiled for apart
+    objects = layout.objects
+    n_objects = objects.shape[0] // N_OBJECT_COLUMNS
+    for k in range(n_objects):
+        own = N_OBJECT_COLUMNS * k
+        first, end = objects[own + FIRST_POINT], objects[own + END_POINT]
+        if first == end:
             continue  # all of it is fixed
-        if layout.is_anchored[i]:
-            _list_anchored(layout, i, points, boxes, active, pairs, counts)
-        else:
-            _list_own(layout, i, points, boxes, active, pairs, counts)
-            _list_near_fixed(layout, i, points, active, pairs, counts)
-            _list_fixed_near(layout, i, boxes, active, pairs, counts)
+        first_cell, end_cell = objects[own + FIRST_CELL], objects[own + END_CELL]
+        for c in range(first_cell, end_cell):
+            n = _list_points(layout, terrain, xy, _box(boxes, c), first, end, c, found, n)
+        if terrain.corners.shape[0]:
+            n = _list_near_fixed(layout, terrain, first, end, xy, found, n)
+            n = _list_fixed_near(layout, terrain, first_cell, end_cell, boxes, found, n)
+        if n_objects == 1:
+            continue
+        around = _object_box(layout, xy, first, end)
         for j in range(n_objects):
-            if i != j and layout.objects[j, 0] != layout.objects[j, 1]:
-                _list_between(layout, i, j, points, boxes, active, nearby, pairs, counts)
-    for p in range(points.shape[1]):
-        lanes.store(points, LISTED_X, p, lanes.load(points, X, p))
-        lanes.store(points, LISTED_Y, p, lanes.load(points, Y, p))
-    return _list_crowded(layout.objects[0, 3], layout.grid_cells, boxes, active, crowded)
+            other = N_OBJECT_COLUMNS * j
+            if j == k or objects[other + FIRST_POINT] == objects[other + END_POINT]:
+                continue
+            for c in range(objects[other + FIRST_CELL], objects[other + END_CELL]):
+                box = _box(boxes, c)
+                if _near(around, box, SKIN):
+                    n = _list_points(layout, terrain, xy, box, first, end, c, found, n)
+    return n, _list_crowded(layout, boxes, crowded)
 
 
 @kernel
-def collapsed(
-    corners: np.ndarray, n_cells: int, points: np.ndarray, boxes: np.ndarray, crowded: np.ndarray, n_crowded: int
-) -> int:
-    """Returns the mask of lanes whose robot, of `n_cells` surface voxels, overlaps itself in more ordered pairs."""
-    if n_crowded == 0:
-        return 0
-    bound(corners, points, boxes)
-    count = lanes.spread(0.0)
+def collapsed(corners: np.ndarray, n_cells: int, xy: np.ndarray, crowded: np.ndarray, n_crowded: int) -> bool:
+    """Returns whether a robot overlaps itself in more ordered pairs of voxels than it has surface voxels, `n_cells`.
+
+    Args:
+        corners: Of all moving surface voxels.
+        n_cells: Their number.
+        xy: Positions.
+        crowded: Pairs to look at.
+        n_crowded: Their number.
+    """
+    count = 0
     for n in range(n_crowded):
-        mask = overlap(boxes, crowded[n, 0], crowded[n, 1], 0.0)
-        if mask:
-            count = count + lanes.select(mask, 2.0, 0.0)
-    return lanes.less(float(n_cells), count)
+        if _near(_box_now(corners, xy, crowded[n, 0]), _box_now(corners, xy, crowded[n, 1]), 0.0):
+            count += 2
+    return count > n_cells
+
+
+@inlined
+def _box_now(corners: np.ndarray, xy: np.ndarray, c: int) -> tuple[float, float, float, float]:
+    """Returns a moving voxel's box."""
+    p = corners[4 * c]
+    low_x = high_x = xy[p]
+    low_y = high_y = xy[p + 1]
+    for k in range(1, 4):
+        p = corners[4 * c + k]
+        low_x, high_x = min(low_x, xy[p]), max(high_x, xy[p])
+        low_y, high_y = min(low_y, xy[p + 1]), max(high_y, xy[p + 1])
+    return low_x, low_y, high_x, high_y

@@ -1,31 +1,48 @@
-"""Contact between voxels: the exact rule, applied to the candidates of `candidates.py`.
+"""Contact between voxels: the exact rule, applied to the candidates of `candidates.py`, in EvoGym's order.
 
 Whether and how a corner has entered a voxel is decided by functions of plain numbers. They decide ties by rounding, as
 EvoGym does (robots start corner on corner with the terrain), so the order of their operations matters.
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
-from evogymcm.sim import lanes
 from evogymcm.sim._jit import inlined, kernel
+from evogymcm.sim.candidates import position
 from evogymcm.sim.constants import MISSING, PhysicsValues
-from evogymcm.sim.springs import FX, FY, OLD_X, OLD_Y, X, Y
-from evogymcm.sim.topology import BL, BOTTOM, BR, LEFT, RIGHT, TL, TOP, TR
+from evogymcm.sim.contact_order import CONTACT, add_keys, sort_keys
+from evogymcm.sim.tables import Surface, Terrain, in_two
+from evogymcm.sim.topology import BL, BOTTOM, LEFT, RIGHT, TL, TOP, TR
+from evogymcm.sim.trees import unite
 
 _PARALLEL = 1e-4  # segments with a smaller determinant do not intersect
 _DEGENERATE = 1e-6  # metres; sides shorter than this count as _FAR away
 _FAR = 1000.0
+# Columns of `Contacts.which`: point, ends of the side, main voxel and its corner, ref voxel, and an identity, which
+# contacts that bring equal numbers share.
+POINT, END_A, END_B, MAIN, CORNER, REF, IDENTITY, N_WHICH = range(8)
+ALONG_X, ALONG_Y, DEPTH, N_HOW = range(4)  # columns of `Contacts.how`
 
 
-@inlined
-def _position(points: np.ndarray, static_points: np.ndarray, p: int, lane: int) -> tuple[float, float]:
-    """Returns where a moving or fixed point is."""
-    n = points.shape[1]
-    if p < n:
-        return points[X, p, lane], points[Y, p, lane]
-    return static_points[p - n, 0], static_points[p - n, 1]
+class Sorting(NamedTuple):
+    """Memory for the order of contacts, see `contact_order.py`."""
+
+    boxes: np.ndarray  # (4, nodes)
+    keys: np.ndarray  # (twice the capacity, 3) uint64
+    found: np.ndarray  # (twice the capacity, 3)
+    order: np.ndarray
+    is_fresh: np.ndarray  # of each object: whether its boxes are those of this substep
+
+
+class Contacts(NamedTuple):
+    """The contacts of a substep."""
+
+    which: np.ndarray  # (capacity, N_WHICH)
+    how: np.ndarray  # (capacity, N_HOW) the side, from end to end, and how deep the point is
+    pushed_by: np.ndarray  # of each moving point, the identity of the contact that pushed it last, 0 for none
+    sorting: Sorting
 
 
 @inlined
@@ -67,36 +84,28 @@ def _distance(ax, ay, bx, by, px, py) -> float:  # type: ignore[no-untyped-def]
 
 
 @inlined
-def _push(points: np.ndarray, p: int, lane: int, fx: float, fy: float) -> None:
+def _push(force: np.ndarray, place: int, fx: float, fy: float) -> None:
     """Adds a force to a point; fixed geometry takes none."""
-    if p < points.shape[1]:
-        points[FX, p, lane] += fx
-        points[FY, p, lane] += fy
+    if place >= 0:
+        force[place] += fx
+        force[place + 1] += fy
 
 
 @inlined
-def _velocity(points: np.ndarray, p: int, lane: int, substep: float) -> tuple[float, float]:
+def _velocity(xy: np.ndarray, old: np.ndarray, place: int, substep: float) -> tuple[float, float]:
     """Returns a point's true velocity: its way in the last substep, limits included, over the time."""
-    if p >= points.shape[1]:
+    if place < 0:
         return 0.0, 0.0
-    vx = (points[X, p, lane] - points[OLD_X, p, lane]) / substep
-    vy = (points[Y, p, lane] - points[OLD_Y, p, lane]) / substep
-    return vx, vy
+    return (xy[place] - old[place]) / substep, (xy[place + 1] - old[place + 1]) / substep
 
 
-@inlined
+@kernel
 def _touch(
-    points: np.ndarray,
-    lane: int,
-    p: int,
-    a: int,
-    b: int,
-    along_x: float,
-    along_y: float,
-    depth: float,
-    physics: PhysicsValues,
+    contacts: Contacts, i: int, xy: np.ndarray, old: np.ndarray, force: np.ndarray, physics: PhysicsValues
 ) -> None:
-    """Adds the forces of point `p` that is `depth` inside the side from point `a` to `b`, `along` apart."""
+    """Adds the forces of contact `i`."""
+    p, a, b = contacts.which[i, POINT], contacts.which[i, END_A], contacts.which[i, END_B]
+    along_x, along_y, depth = contacts.how[i, ALONG_X], contacts.how[i, ALONG_Y], contacts.how[i, DEPTH]
     nx, ny = -along_y, along_x
     length = math.sqrt(nx * nx + ny * ny)
     nx, ny = nx / length, ny / length
@@ -104,15 +113,15 @@ def _touch(
     push_x, push_y = nx * physics.contact_stiffness * press, ny * physics.contact_stiffness * press
     length = math.sqrt(nx * nx + ny * ny)  # normalised twice, as in EvoGym: the last bit may change
     nx, ny = nx / length, ny / length
-    wx, wy = _velocity(points, p, lane, physics.substep)
+    wx, wy = _velocity(xy, old, p, physics.substep)
     speed, damping = nx * wx + ny * wy, physics.contact_damping
-    _push(points, p, lane, push_x - nx * speed * damping, push_y - ny * speed * damping)
+    _push(force, p, push_x - nx * speed * damping, push_y - ny * speed * damping)
     for end in (a, b):
-        ex, ey = _velocity(points, end, lane, physics.substep)
+        ex, ey = _velocity(xy, old, end, physics.substep)
         speed = nx * ex + ny * ey
         back_x = push_x / 2.0 + nx * speed * damping / 2.0
         back_y = push_y / 2.0 + ny * speed * damping / 2.0
-        _push(points, end, lane, -back_x, -back_y)
+        _push(force, end, -back_x, -back_y)
     normal = math.sqrt(push_x * push_x + push_y * push_y)
     if normal == 0.0:
         return
@@ -123,72 +132,187 @@ def _touch(
     grip = math.tanh(slip / (physics.friction * normal))
     drag_x = -tx * physics.friction_gain * physics.friction * normal * grip
     drag_y = -ty * physics.friction_gain * physics.friction * normal * grip
-    _push(points, p, lane, drag_x, drag_y)
+    _push(force, p, drag_x, drag_y)
     for end in (a, b):
-        _push(points, end, lane, -drag_x / 2.0, -drag_y / 2.0)
+        _push(force, end, -drag_x / 2.0, -drag_y / 2.0)
 
 
 @kernel
-def respond(
-    corners: np.ndarray,
-    sides: np.ndarray,
-    is_surface: np.ndarray,
-    cell_object: np.ndarray,
-    static_points: np.ndarray,
-    points: np.ndarray,
-    active: int,
-    pairs: np.ndarray,
-    counts: np.ndarray,
+def _enter(
+    layout: Surface,
+    terrain: Terrain,
+    xy: np.ndarray,
+    place: int,
+    main: int,
+    corner: int,
+    ref: int,
+    candidate: int,
+    contacts: Contacts,
+    n: int,
+) -> int:
+    """Adds the contact of a point inside voxel `ref`, as a corner of voxel `main`, if there is one; returns the number.
+
+    It came in through a surface side that meets one of its own voxel's two sides at this corner.
+    """
+    static = terrain.static
+    px, py = position(xy, static, place)
+    flat, upright = TOP if corner <= TR else BOTTOM, LEFT if corner in (TL, BL) else RIGHT
+    sides, first = (layout.sides, 8 * main) if main >= 0 else (terrain.sides, 8 * ~main)
+    hax, hay = position(xy, static, sides[first + 2 * flat])
+    hbx, hby = position(xy, static, sides[first + 2 * flat + 1])
+    vax, vay = position(xy, static, sides[first + 2 * upright])
+    vbx, vby = position(xy, static, sides[first + 2 * upright + 1])
+    sides, first = (layout.sides, 8 * ref) if ref >= 0 else (terrain.sides, 8 * ~ref)
+    surface = layout.surface[ref] if ref >= 0 else terrain.surface[~ref]
+    entered, depth, along_x, along_y = MISSING, math.inf, 0.0, 0.0
+    for side in range(4):
+        if not surface >> side & 1:
+            continue
+        ax, ay = position(xy, static, sides[first + 2 * side])
+        bx, by = position(xy, static, sides[first + 2 * side + 1])
+        if _meet(hax, hay, hbx, hby, ax, ay, bx, by) or _meet(vax, vay, vbx, vby, ax, ay, bx, by):
+            distance = _distance(ax, ay, bx, by, px, py)
+            if distance < depth:  # the nearest counts, the first on a tie
+                entered, depth, along_x, along_y = side, distance, bx - ax, by - ay
+    if entered == MISSING:
+        return n
+    if n < contacts.which.shape[0]:
+        contacts.which[n, POINT] = place
+        contacts.which[n, END_A] = sides[first + 2 * entered]
+        contacts.which[n, END_B] = sides[first + 2 * entered + 1]
+        contacts.which[n, MAIN] = main
+        contacts.which[n, CORNER] = corner
+        contacts.which[n, REF] = ref
+        contacts.which[n, IDENTITY] = 4 * candidate + entered + 1
+        contacts.how[n, ALONG_X] = along_x
+        contacts.how[n, ALONG_Y] = along_y
+        contacts.how[n, DEPTH] = depth
+    return n + 1
+
+
+@kernel
+def find_contacts(
+    layout: Surface, terrain: Terrain, xy: np.ndarray, found: np.ndarray, n_found: int, contacts: Contacts
+) -> int:
+    """Finds the contacts among the candidates; returns their number, beyond the capacity where they did not fit."""
+    n = int(np.int64(0))  # a constant would be compiled for apart
+    static = terrain.static
+    for i in range(n_found):
+        place, ref = found[i, 0], found[i, 1]
+        px, py = position(xy, static, place)
+        tlx, tly = position(xy, static, found[i, 2])
+        trx, try_ = position(xy, static, found[i, 3])
+        blx, bly = position(xy, static, found[i, 4])
+        brx, bry = position(xy, static, found[i, 5])
+        if not _is_inside(px, py, tlx, tly, trx, try_, blx, bly, brx, bry):
+            continue
+        if place >= 0:
+            uses = layout.uses
+            first, end = layout.uses_start[place >> 1], layout.uses_start[(place >> 1) + 1]
+        else:
+            uses = terrain.uses
+            first, end = terrain.uses_start[~place >> 1], terrain.uses_start[(~place >> 1) + 1]
+        for u in range(first, end):
+            if uses[2 * u] < 0 and ref < 0:
+                continue  # a fixed voxel against a fixed one has no effect
+            n = _enter(layout, terrain, xy, place, uses[2 * u], uses[2 * u + 1], ref, i, contacts, n)
+    return n
+
+
+@kernel
+def _is_ordered(contacts: Contacts, n: int) -> bool:
+    """Returns whether some point is pushed by two different contacts, so that their order shows in its last bits."""
+    which, pushed_by = contacts.which, contacts.pushed_by
+    found = False
+    for i in range(n):
+        for k in (POINT, END_A, END_B):
+            place = which[i, k]
+            if place >= 0:
+                last = pushed_by[place >> 1]
+                found |= last != 0 and last != which[i, IDENTITY]
+                pushed_by[place >> 1] = which[i, IDENTITY]
+    for i in range(n):
+        for k in (POINT, END_A, END_B):
+            if which[i, k] >= 0:
+                pushed_by[which[i, k] >> 1] = 0
+    return found
+
+
+@kernel
+def _refresh(layout: Surface, terrain: Terrain, xy: np.ndarray, k: int, boxes: np.ndarray) -> None:
+    """Sets the boxes of the nodes of object `k`'s tree."""
+    for node in range(layout.node_start[k], layout.node_start[k + 1]):
+        v = layout.node_voxel[node]
+        if v == MISSING:
+            unite(boxes, node, layout.children[2 * node], layout.children[2 * node + 1])
+            continue
+        low_x = low_y = math.inf
+        high_x = high_y = -math.inf
+        n_moving = layout.surface.shape[0]  # the fixed voxels follow them
+        corners, first = (layout.corners, 4 * v) if v < n_moving else (terrain.corners, 4 * (v - n_moving))
+        for corner in range(4):
+            x, y = position(xy, terrain.static, corners[first + corner])
+            low_x, high_x = min(low_x, x), max(high_x, x)
+            low_y, high_y = min(low_y, y), max(high_y, y)
+        boxes[0, node], boxes[1, node], boxes[2, node], boxes[3, node] = low_x, low_y, high_x, high_y
+
+
+@inlined
+def _number(layout: Surface, c: int) -> int:
+    """Returns the surface voxel of the scene that is c or ~d: fixed ones follow those that move."""
+    return c if c >= 0 else layout.surface.shape[0] + ~c
+
+
+@kernel
+def apply_contacts(
+    layout: Surface,
+    terrain: Terrain,
+    xy: np.ndarray,
+    old: np.ndarray,
+    contacts: Contacts,
+    n: int,
+    force: np.ndarray,
     physics: PhysicsValues,
 ) -> None:
-    """Sets FX, FY to the contact forces of the active lanes, from their lists.
+    """Adds the forces of `n` contacts to `force`: in EvoGym's order, where it shows."""
+    if not _is_ordered(contacts, n):
+        for i in range(n):
+            _touch(contacts, i, xy, old, force, physics)
+            if _object_of(layout, contacts.which[i, MAIN]) == _object_of(layout, contacts.which[i, REF]):
+                _touch(contacts, i, xy, old, force, physics)
+        return
+    which, sorting = contacts.which, contacts.sorting
+    n_keys = int(np.int64(0))
+    children, place, leaf = in_two(layout.children, 2), layout.node_place, layout.leaf
+    for i in range(n):
+        for c in (which[i, MAIN], which[i, REF]):
+            k = _object_of(layout, c)
+            if not sorting.is_fresh[k]:
+                _refresh(layout, terrain, xy, k, sorting.boxes)
+                sorting.is_fresh[k] = 1
+        n_keys = add_keys(
+            sorting.keys,
+            sorting.found,
+            n_keys,
+            i,
+            _number(layout, which[i, MAIN]),
+            which[i, CORNER],
+            _number(layout, which[i, REF]),
+            layout.cell_object,
+            layout.node_start,
+            children,
+            place,
+            leaf,
+            sorting.boxes,
+        )
+    for k in range(layout.node_start.shape[0] - 1):
+        sorting.is_fresh[k] = 0
+    sort_keys(sorting.keys, sorting.found, n_keys, sorting.order, layout.node_start, children, place, sorting.boxes)
+    for i in range(n_keys):
+        _touch(contacts, np.int64(sorting.found[sorting.order[i], CONTACT]), xy, old, force, physics)
 
-    Args:
-        corners: (C + D, 4) points of the surface voxels, moving ones first.
-        sides: (C + D, 4, 2) ends of their top, right, bottom, left; surface ones run with the outside on their left.
-        is_surface: (C + D, 4) whether they are surface.
-        cell_object: (C + D,) their objects. Within one object a contact is found from both sides and acts twice.
-        static_points: (Q, 2) coordinates of the points numbered from P on.
-        points: (N_POINT_ROWS, P, 8) state.
-        active: Mask of the lanes.
-        pairs: (8, capacity, 3) candidates: main voxel, corner, ref voxel.
-        counts: (8,) lengths of the lists.
-        physics: Constants.
-    """
-    for p in range(points.shape[1]):
-        lanes.store(points, FX, p, 0.0)
-        lanes.store(points, FY, p, 0.0)
-    for lane in range(lanes.N_LANES):
-        if not active >> lane & 1:
-            continue
-        for i in range(counts[lane]):
-            main, k, ref = pairs[lane, i, 0], pairs[lane, i, 1], pairs[lane, i, 2]
-            p, tl, tr, bl, br = corners[main, k], corners[ref, TL], corners[ref, TR], corners[ref, BL], corners[ref, BR]
-            px, py = _position(points, static_points, p, lane)
-            tlx, tly = _position(points, static_points, tl, lane)
-            trx, try_ = _position(points, static_points, tr, lane)
-            blx, bly = _position(points, static_points, bl, lane)
-            brx, bry = _position(points, static_points, br, lane)
-            if not _is_inside(px, py, tlx, tly, trx, try_, blx, bly, brx, bry):
-                continue
-            # It came in through a surface side that meets one of its own voxel's two sides at this corner.
-            flat, upright = TOP if k <= TR else BOTTOM, LEFT if k in (TL, BL) else RIGHT
-            hax, hay = _position(points, static_points, sides[main, flat, 0], lane)
-            hbx, hby = _position(points, static_points, sides[main, flat, 1], lane)
-            vax, vay = _position(points, static_points, sides[main, upright, 0], lane)
-            vbx, vby = _position(points, static_points, sides[main, upright, 1], lane)
-            entered, depth, along_x, along_y = MISSING, math.inf, 0.0, 0.0
-            for side in range(4):
-                if not is_surface[ref, side]:
-                    continue
-                ax, ay = _position(points, static_points, sides[ref, side, 0], lane)
-                bx, by = _position(points, static_points, sides[ref, side, 1], lane)
-                if _meet(hax, hay, hbx, hby, ax, ay, bx, by) or _meet(vax, vay, vbx, vby, ax, ay, bx, by):
-                    distance = _distance(ax, ay, bx, by, px, py)
-                    if distance < depth:  # the nearest counts, the first on a tie
-                        entered, depth, along_x, along_y = side, distance, bx - ax, by - ay
-            if entered != MISSING:
-                a, b = sides[ref, entered, 0], sides[ref, entered, 1]
-                _touch(points, lane, p, a, b, along_x, along_y, depth, physics)
-                if cell_object[main] == cell_object[ref]:
-                    _touch(points, lane, p, a, b, along_x, along_y, depth, physics)
+
+@inlined
+def _object_of(layout: Surface, c: int) -> int:
+    """Returns the number of a voxel's object."""
+    return layout.cell_object[_number(layout, c)]

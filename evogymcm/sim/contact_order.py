@@ -15,7 +15,7 @@ import numpy as np
 
 from evogymcm.sim._jit import inlined, kernel
 from evogymcm.sim.constants import MISSING
-from evogymcm.sim.trees import HIGH_X, HIGH_Y, LOW_X, LOW_Y, Tree, unite
+from evogymcm.sim.trees import HIGH_X, HIGH_Y, LOW_X, LOW_Y, Tree
 
 _TURN = (0, 1, 3, 2)  # when a main voxel's corners TL, TR, BL, BR have their turn
 _SECOND = 4  # turns later: the second leaf's voxel is main
@@ -51,28 +51,6 @@ def join_trees(trees: Sequence[Tree], voxels: Sequence[np.ndarray]) -> Forest:
         voxel[start : start + n] = own
         leaf[own] = np.arange(start, start + n)
     return Forest(node_start, children, np.concatenate([tree.place for tree in trees]), voxel, leaf)
-
-
-@kernel
-def refresh_boxes(
-    first: int,
-    end: int,
-    children: np.ndarray,
-    voxel: np.ndarray,
-    low_x: np.ndarray,
-    low_y: np.ndarray,
-    high_x: np.ndarray,
-    high_y: np.ndarray,
-    boxes: np.ndarray,
-) -> None:
-    """Sets the (4, N) boxes of an object's nodes, `first` to `end`, from those of the (V,) surface voxels."""
-    for node in range(first, end):
-        v = voxel[node]
-        if v == MISSING:
-            unite(boxes, node, children[node, 0], children[node, 1])
-        else:
-            boxes[LOW_X, node], boxes[LOW_Y, node] = low_x[v], low_y[v]
-            boxes[HIGH_X, node], boxes[HIGH_Y, node] = high_x[v], high_y[v]
 
 
 @inlined

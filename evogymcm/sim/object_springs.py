@@ -1,4 +1,4 @@
-"""The springs of one object: edges, then diagonals, without those that only fixed voxels have."""
+"""The springs of one object: edges, then diagonals."""
 
 from functools import lru_cache
 from typing import NamedTuple
@@ -16,22 +16,22 @@ class ObjectSprings(NamedTuple):
     ends: np.ndarray  # (S, 2) int32, the points of each spring
     rest: np.ndarray  # (S,) initial length, metres
     constants: np.ndarray  # (S,) spring constants at stiffness 1
-    owners: np.ndarray  # (S, 2) int32, robot voxels whose stiffness scales the spring, MISSING: the factor 1
+    owners: np.ndarray  # (S, 2) int32, voxels that have the spring, MISSING for none
     owner_constants: np.ndarray  # (S, 2) the share of the constant that each owner scales; 0: both scale the whole
-    drivers: np.ndarray  # (S, 2) int32, robot voxels whose actuation sets the length, MISSING for none
+    drivers: np.ndarray  # (S, 2) int32, voxels whose actuation sets the length, MISSING for none
     rigid: np.ndarray  # (R,) int32, edges of rigid voxels, in the order in which they are corrected
 
 
 @kernel
-def _count(codes: np.ndarray, edge_owners: np.ndarray) -> tuple[int, int]:
+def _count(codes: np.ndarray, edge_owners: np.ndarray, with_fixed: bool) -> tuple[int, int]:
     """Returns the numbers of springs and of rigid voxels."""
     n_springs = n_rigid = 0
     for i in range(codes.shape[0]):
-        n_springs += 2 * (codes[i] != FIXED)
+        n_springs += 2 * (with_fixed or codes[i] != FIXED)
         n_rigid += codes[i] == RIGID
     for e in range(edge_owners.shape[0]):
         a, b = edge_owners[e, 0], edge_owners[e, 1]
-        n_springs += codes[a] != FIXED or (b != MISSING and codes[b] != FIXED)
+        n_springs += with_fixed or codes[a] != FIXED or (b != MISSING and codes[b] != FIXED)
     return n_springs, n_rigid
 
 
@@ -46,7 +46,7 @@ def _fill(
     diagonals: np.ndarray,
     diagonal_constants: np.ndarray,
     shares: np.ndarray,
-    is_robot: bool,
+    with_fixed: bool,
     rests: tuple[float, float],
     numbers: np.ndarray,
     ends: np.ndarray,
@@ -66,7 +66,7 @@ def _fill(
     s = 0
     for e in range(edges.shape[0]):
         a, b = edge_owners[e, 0], edge_owners[e, 1]
-        if codes[a] == FIXED and (b == MISSING or codes[b] == FIXED):
+        if not with_fixed and codes[a] == FIXED and (b == MISSING or codes[b] == FIXED):
             continue
         numbers[e] = s
         rest[s], constants[s] = rests[0], edge_constants[e]
@@ -77,17 +77,17 @@ def _fill(
             constants[s] = owner_constants[s, 0] + owner_constants[s, 1]
         for j in range(2):
             ends[s, j] = edges[e, j]
-            owners[s, j] = edge_owners[e, j] if is_robot else MISSING
-            drivers[s, j] = edge_drivers[e, j] if is_robot else MISSING
+            owners[s, j] = edge_owners[e, j]
+            drivers[s, j] = edge_drivers[e, j]
         s += 1
     r = 0
     for i in range(codes.shape[0]):
-        if codes[i] == FIXED:
+        if not with_fixed and codes[i] == FIXED:
             continue
         for d in range(2 * i, 2 * i + 2):
             rest[s], constants[s] = rests[1], diagonal_constants[d]
             ends[s, 0], ends[s, 1] = diagonals[d, 0], diagonals[d, 1]
-            owners[s, 0], owners[s, 1] = i if is_robot else MISSING, MISSING
+            owners[s, 0], owners[s, 1] = i, MISSING
             owner_constants[s, 0], owner_constants[s, 1] = diagonal_constants[d] if has_shares else 0.0, 0.0
             drivers[s, 0] = drivers[s, 1] = MISSING
             s += 1
@@ -98,15 +98,15 @@ def _fill(
 
 
 @lru_cache(maxsize=CACHED)
-def object_springs(t: Topology, is_robot: bool, edge_rule: str = "mean_factor") -> ObjectSprings:
+def object_springs(t: Topology, edge_rule: str = "mean_factor", with_fixed: bool = False) -> ObjectSprings:
     """Returns an object's springs; the same ones for the same topology.
 
     Args:
         t: The object's topology.
-        is_robot: Whether its voxels' stiffness scales the springs, and its actuators drive them.
-        edge_rule: "mean_factor" or "mean_stiffness", see `build_scene`.
+        edge_rule: "mean_factor" or "mean_stiffness", see `Scenery`.
+        with_fixed: Whether to return those too that only fixed voxels have.
     """
-    n_springs, n_rigid = _count(t.codes, t.edge_owners)
+    n_springs, n_rigid = _count(t.codes, t.edge_owners, with_fixed)
     result = ObjectSprings(
         ends=np.empty((n_springs, 2), np.int32),
         rest=np.empty(n_springs),
@@ -126,7 +126,7 @@ def object_springs(t: Topology, is_robot: bool, edge_rule: str = "mean_factor") 
         t.diagonals,
         t.diagonal_constants(),
         t.owner_constants() if edge_rule == "mean_stiffness" else np.empty((0, 2)),
-        is_robot,
+        with_fixed,
         (VOXEL, float(np.sqrt(2 * VOXEL**2))),
         np.empty(len(t.edges), np.int32),
         *result,

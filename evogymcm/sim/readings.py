@@ -1,40 +1,31 @@
-"""What can be read off the worlds: centres, velocities, orientations, outlines, and the terrain around a robot.
+"""What can be read off the worlds: centres, velocities, orientations, outlines, terrain, and what voxels sense.
 
-Kernels read a block's lanes and write rows of arrays indexed by world. Sums run in the order of the points.
+Kernels read worlds and write rows of arrays indexed by world. EvoGym returns coordinates in voxels; what is formed of
+them, and in which order sums run, is followed to the last bit.
 """
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from evogymcm.sim import lanes
 from evogymcm.sim._jit import inlined, kernel
-from evogymcm.sim.constants import MISSING, VOXEL
-from evogymcm.sim.springs import VX, VY, X, Y
+from evogymcm.sim.advance import Storage
+from evogymcm.sim.candidates import position
+from evogymcm.sim.constants import VOXEL
+from evogymcm.sim.tables import Layout, Terrain, in_two, layout_of, part, terrain_of
 
 _TWO_PI = 2.0 * 3.1415926  # EvoGym's value, seven digits of pi
 _ALMOST_ONE = 0.99999  # what a cosine beyond 1 counts as
+_SHORT = 1e-7  # square metres: products of lengths below it have no angle
 WINDOW_REACH = 5.0  # voxels: as far as an elevation window sees
-COM, VELOCITY, LOW, HIGH, ORIENTATION, HULL_AREA = 0, 2, 4, 6, 8, 9  # first columns of `Readings.numbers`
-N_SUMS = 9  # numbers of `read_object` that are formed for all lanes at once, the first columns
-N_NUMBERS = 10
-# Best polynomial (Chebyshev) for (arcsin(t) / t - 1) / t^2 in t^2, on [0, 1/4]; highest power first, off by 1.5e-17.
-_ARCSIN = (
-    0.028757851367421566,
-    -0.014851887071247204,
-    0.01740087944269402,
-    0.005457506718640358,
-    0.01032281435018578,
-    0.011479177415184906,
-    0.013971212973552933,
-    0.017352392720869973,
-    0.02237217294214989,
-    0.030381944138531247,
-    0.04464285714635543,
-    0.07499999999998433,
-    0.16666666666666669,
-)
+# First columns of `Readings.numbers`; the centre is the COM in voxels.
+COM, VELOCITY, LOW, HIGH, CENTRE, ORIENTATION, HULL_AREA, PLAIN_VELOCITY, N_NUMBERS = 0, 2, 4, 6, 8, 10, 11, 12, 14
+N_SCRATCH = 8  # numbers a point that `read_object` needs
+
+# Features of a voxel: x of TL, TR, BL, BR relative to the COM, then y; the same of velocities; stiffness and actuation
+# in force; its row and column in its own body array, from -1 to 1.
+POSITIONS, VELOCITIES, STIFFNESS, ACTUATION, PLACE, N_FEATURES = 0, 8, 16, 17, 18, 20
 
 
 class Readings(NamedTuple):
@@ -50,8 +41,13 @@ class Readings(NamedTuple):
 
     @property
     def velocity(self) -> np.ndarray:
-        """(N, 2) mean of the integrated velocities."""
+        """(N, 2) mean of the integrated velocities, formed in voxels."""
         return self.numbers[:, VELOCITY : VELOCITY + 2]
+
+    @property
+    def plain_velocity(self) -> np.ndarray:
+        """(N, 2) the same mean, formed in metres, as some of EvoGym's tasks do: last digits differ."""
+        return self.numbers[:, PLAIN_VELOCITY : PLAIN_VELOCITY + 2]
 
     @property
     def low(self) -> np.ndarray:
@@ -81,208 +77,177 @@ def new_readings(n_worlds: int, n_points: int) -> Readings:
 
 @kernel
 def read_object(
-    points: np.ndarray,
+    storage: Storage,
     worlds: np.ndarray,
-    rows: np.ndarray,
-    initial: np.ndarray,
+    k: int,
     with_hull: bool,
-    hull: np.ndarray,
-    sums: np.ndarray,
+    scratch: np.ndarray,
     numbers: np.ndarray,
     relative: np.ndarray,
 ) -> None:
-    """Reads an object of n points, in their order, in the lanes that have a world.
-
-    It takes arrays, and no tuple of them: numba spent more on taking the tuple apart than on all readings.
+    """Reads object `k`, the robot for 0, of some worlds.
 
     Args:
-        points: (N_POINT_ROWS, P, 8) state.
-        worlds: (8,) world of each lane, MISSING for none.
-        rows: (n,) the object's points among the P, MISSING for those that are fixed.
-        initial: (n, 2) where they are at reset, from which orientation counts, and where the fixed ones stay.
+        storage: The worlds.
+        worlds: (m,) which of them.
+        k: The object's number in simulation order.
         with_hull: Whether to read the hull's area.
-        hull: (2, points + 1) int scratch.
-        sums: (N_SUMS, 1, 8) scratch.
+        scratch: N_SCRATCH numbers for each point, and as many more.
         numbers: Receives the readings, as `relative`.
         relative: See `Readings`.
     """
-    n = rows.shape[0]
-    cx, cy, vx, vy = lanes.spread(0.0), lanes.spread(0.0), lanes.spread(0.0), lanes.spread(0.0)
-    low_x, low_y = lanes.spread(math.inf), lanes.spread(math.inf)
-    high_x, high_y = lanes.spread(-math.inf), lanes.spread(-math.inf)
-    for k in range(n):
-        p = rows[k]
-        if p == MISSING:
-            px, py = lanes.spread(initial[k, 0]), lanes.spread(initial[k, 1])
-        else:
-            px, py = lanes.load(points, X, p), lanes.load(points, Y, p)
-            vx, vy = vx + lanes.load(points, VX, p), vy + lanes.load(points, VY, p)
-        cx, cy = cx + px, cy + py
-        low_x, low_y = lanes.minimum(px, low_x), lanes.minimum(py, low_y)
-        high_x, high_y = lanes.maximum(px, high_x), lanes.maximum(py, high_y)
-    cx, cy = cx / n, cy / n
-    lanes.store(sums, COM, 0, cx)
-    lanes.store(sums, COM + 1, 0, cy)
-    lanes.store(sums, VELOCITY, 0, vx / n)
-    lanes.store(sums, VELOCITY + 1, 0, vy / n)
-    lanes.store(sums, LOW, 0, low_x)
-    lanes.store(sums, LOW + 1, 0, low_y)
-    lanes.store(sums, HIGH, 0, high_x)
-    lanes.store(sums, HIGH + 1, 0, high_y)
-    lanes.store(sums, ORIENTATION, 0, _orientation(points, rows, initial, cx, cy))
-    for lane in range(lanes.N_LANES):
-        world = worlds[lane]
-        if world == MISSING:
-            continue
-        for k in range(N_SUMS):
-            numbers[world, k] = sums[k, 0, lane]
-        for k in range(n):
-            p = rows[k]
-            x = initial[k, 0] if p == MISSING else points[X, p, lane]
-            y = initial[k, 1] if p == MISSING else points[Y, p, lane]
-            relative[world, 0, k] = x - sums[COM, 0, lane]
-            relative[world, 1, k] = y - sums[COM + 1, 0, lane]
+    for w in worlds:
+        design, scenery = storage.design_of[w, 0], storage.design_of[w, 1]
+        layout = layout_of(storage.ints[design], storage.floats[design])
+        terrain = terrain_of(storage.terrain_ints[scenery], storage.terrain_floats[scenery])
+        m = layout.initial.shape[0]
+        xy, v = part(storage.state[w], 0, m), part(storage.state[w], m, m)
+        start, end = terrain.points_start[k], terrain.points_start[k + 1]
+        places = layout.points if k == 0 else part(terrain.points, start, end - start)
+        n = places.shape[0]
+        if n > relative.shape[2]:
+            continue  # never: the caller makes room
+        rows = in_two(scratch, scratch.shape[0] // N_SCRATCH)
+        x = y = sum_x = sum_y = sum_vx = sum_vy = plain_vx = plain_vy = 0.0
+        low_x = low_y = math.inf
+        high_x = high_y = -math.inf
+        for i in range(n):
+            px, py = position(xy, terrain.static, places[i])
+            px, py = px / VOXEL, py / VOXEL
+            x, y = x + px, y + py
+            relative[w, 0, i], relative[w, 1, i] = px, py
+            px, py = px * VOXEL, py * VOXEL
+            sum_x, sum_y = sum_x + px, sum_y + py
+            rows[0, i], rows[1, i] = px, py
+            low_x, low_y, high_x, high_y = min(low_x, px), min(low_y, py), max(high_x, px), max(high_y, py)
+            if places[i] >= 0:
+                vx, vy = v[places[i]] / VOXEL, v[places[i] + 1] / VOXEL
+                sum_vx, sum_vy = sum_vx + vx, sum_vy + vy
+                plain_vx, plain_vy = plain_vx + vx * VOXEL, plain_vy + vy * VOXEL
+        x, y = x / n, y / n
+        for i in range(n):
+            relative[w, 0, i] = (relative[w, 0, i] - x) * VOXEL
+            relative[w, 1, i] = (relative[w, 1, i] - y) * VOXEL
+        row = numbers[w]
+        row[COM], row[COM + 1] = sum_x / n, sum_y / n
+        row[VELOCITY], row[VELOCITY + 1] = sum_vx / n * VOXEL, sum_vy / n * VOXEL
+        row[PLAIN_VELOCITY], row[PLAIN_VELOCITY + 1] = plain_vx / n, plain_vy / n
+        row[LOW], row[LOW + 1], row[HIGH], row[HIGH + 1] = low_x, low_y, high_x, high_y
+        row[CENTRE], row[CENTRE + 1] = x, y
         if with_hull:
-            numbers[world, HULL_AREA] = _hull_area(relative, world, n, hull)
+            row[HULL_AREA] = _hull_area(rows[0], rows[1], n)
+        row[ORIENTATION] = _orientation(layout, terrain, xy, places, rows)
 
 
 @inlined
-def _orientation(points: np.ndarray, rows: np.ndarray, initial: np.ndarray, cx: Any, cy: Any) -> Any:
-    """Returns the mean unsigned angle from the points at reset, weighted by distance, with the sign of their turning.
-
-    Args:
-        points: (N_POINT_ROWS, P, 8) state.
-        rows: (n,) the object's points among the P, MISSING for those that are fixed.
-        initial: (n, 2) the object's points at reset.
-        cx: COM, lanes.
-        cy: COM, lanes.
-    """
-    ax, ay = 0.0, 0.0
-    n = rows.shape[0]
-    for k in range(n):
-        ax += initial[k, 0]
-        ay += initial[k, 1]
-    ax, ay = ax / n, ay / n
-    total, turning, weights = lanes.spread(0.0), lanes.spread(0.0), 0.0
-    for k in range(n):
-        p = rows[k]
-        ox, oy = initial[k, 0] - ax, initial[k, 1] - ay
-        if p == MISSING:
-            nx, ny = initial[k, 0] - cx, initial[k, 1] - cy
-        else:
-            nx, ny = lanes.load(points, X, p) - cx, lanes.load(points, Y, p) - cy
-        was, now = math.sqrt(ox * ox + oy * oy), lanes.sqrt(nx * nx + ny * ny)
-        if was == 0.0:
-            continue  # no direction, and no weight
-        cosine = (nx * ox + ny * oy) / (now * was)
-        cosine = lanes.select(lanes.less(now * was, 1e-7), _ALMOST_ONE, cosine)
-        cosine = lanes.select(lanes.less(1.0, cosine), _ALMOST_ONE, cosine)
-        cosine = lanes.select(lanes.less(cosine, -1.0), -_ALMOST_ONE, cosine)
-        total = total + _arccos(cosine) * was
-        weights += was
-        turn = (nx / now) * (oy / was) - (ny / now) * (ox / was)
-        turning = turning + lanes.select(lanes.less(0.0, now), turn, 0.0)
-    angle = total / weights
-    return lanes.select(lanes.less(0.0, turning), _TWO_PI - angle, angle)
+def _mean(numbers: np.ndarray, n: int) -> float:
+    """Returns the mean of the first `n` numbers as EvoGym adds them up: the first, then four by four, then the rest."""
+    total, i = numbers[0], 1
+    while i + 3 < n:
+        total += (numbers[i] + numbers[i + 1]) + (numbers[i + 2] + numbers[i + 3])
+        i += 4
+    while i < n:
+        total += numbers[i]
+        i += 1
+    return total / n
 
 
 @inlined
-def _arccos(x: Any) -> Any:
-    """Returns arc cosines of lanes in [-1, 1], to two units in the last place.
-
-    By arccos(x) = pi/2 - arcsin(x) where |x| < 1/2, else 2 arcsin(sqrt((1 - |x|) / 2)), and a polynomial for
-    (arcsin(t) / t - 1) / t^2 on [0, 1/4].
-    """
-    size = lanes.absolute(x)
-    is_middle = lanes.less(size, 0.5)
-    square = lanes.select(is_middle, size * size, (1.0 - size) * 0.5)
-    t = lanes.select(is_middle, size, lanes.sqrt(square))
-    tail = lanes.spread(_ARCSIN[0])
-    for k in range(1, len(_ARCSIN)):
-        tail = tail * square + _ARCSIN[k]
-    arcsin = t + t * (square * tail)
-    angle = lanes.select(is_middle, math.pi / 2 - arcsin, 2.0 * arcsin)  # of |x|
-    return lanes.select(lanes.less(x, 0.0), math.pi - angle, angle)
-
-
-@inlined
-def _turn(relative: np.ndarray, world: int, a: int, b: int, c: int) -> float:
-    """Returns twice the signed area of the triangle of points a, b, c."""
-    x, y = relative[world, 0, a], relative[world, 1, a]
-    return (relative[world, 0, b] - x) * (relative[world, 1, c] - y) - (relative[world, 1, b] - y) * (
-        relative[world, 0, c] - x
-    )
+def _sum(numbers: np.ndarray, n: int) -> float:
+    """Returns the sum of the first `n` numbers, four at least, as EvoGym adds them up: in two pairs of partial sums."""
+    a, b, c, d = numbers[0], numbers[1], numbers[2], numbers[3]
+    for i in range(4, n - n % 4, 4):
+        a, b, c, d = a + numbers[i], b + numbers[i + 1], c + numbers[i + 2], d + numbers[i + 3]
+    a, b = a + c, b + d
+    if n % 4 >= 2:
+        a, b = a + numbers[n - n % 4], b + numbers[n - n % 4 + 1]
+    total = a + b
+    return total + numbers[n - 1] if n % 2 else total
 
 
 @kernel
-def _hull_area(relative: np.ndarray, world: int, n: int, hull: np.ndarray) -> float:
-    """Returns the area of the convex hull of the points, by Andrew's monotone chain."""
-    order, chain = hull[0], hull[1]
-    for i in range(n):  # insertion sort by x, then y
-        x, y, j = relative[world, 0, i], relative[world, 1, i], i
-        while j > 0:
-            before = order[j - 1]
-            bx = relative[world, 0, before]
-            if bx < x or (bx == x and relative[world, 1, before] <= y):
-                break
-            order[j] = before
-            j -= 1
-        order[j] = i
-    area = 0.0
-    for direction in range(2):
-        size = 0
+def _orientation(layout: Layout, terrain: Terrain, xy: np.ndarray, places: np.ndarray, scratch: np.ndarray) -> float:
+    """Returns the mean unsigned angle from the points at reset, weighted by distance, with the sign of their turning.
+
+    `scratch` is (N_SCRATCH, n at least).
+    """
+    n = places.shape[0]
+    ax, ay, bx, by = scratch[0], scratch[1], scratch[2], scratch[3]
+    for i in range(n):
+        ax[i], ay[i] = position(layout.initial, terrain.static, places[i])
+        bx[i], by[i] = position(xy, terrain.static, places[i])
+    centre = _mean(ax, n), _mean(ay, n), _mean(bx, n), _mean(by, n)
+    angles, weights, turns = scratch[4], scratch[5], scratch[6]
+    for i in range(n):
+        ox, oy, nx, ny = ax[i] - centre[0], ay[i] - centre[1], bx[i] - centre[2], by[i] - centre[3]
+        was, now = math.sqrt(ox * ox + oy * oy), math.sqrt(nx * nx + ny * ny)
+        if was > 0.0:
+            ox, oy = ox / was, oy / was
+        if now > 0.0:
+            nx, ny = nx / now, ny / now
+        cosine = nx * ox + ny * oy
+        if was * now < _SHORT or cosine > 1.0:
+            cosine = _ALMOST_ONE
+        elif cosine < -1.0:
+            cosine = -_ALMOST_ONE
+        angles[i], weights[i], turns[i] = math.acos(cosine) * was, was, nx * oy - ny * ox
+    angle = _sum(angles, n) / _sum(weights, n)
+    return _TWO_PI - angle if _sum(turns, n) > 0.0 else angle
+
+
+@kernel
+def _hull_area(x: np.ndarray, y: np.ndarray, n: int) -> float:
+    """Returns the area of the convex hull of the first `n` points, found side by side from the leftmost on.
+
+    Which of several points on one side it stops at, and the order of the sum, are EvoGym's.
+    """
+    first = 0
+    for i in range(1, n):
+        if x[i] < x[first]:
+            first = i
+    area, at = 0.0, first
+    for _ in range(n):  # rounding could lead it past the first point
+        to = at + 1 if at + 1 < n else 0
         for i in range(n):
-            p = order[i] if direction == 0 else order[n - 1 - i]
-            while size >= 2 and _turn(relative, world, chain[size - 2], chain[size - 1], p) <= 0.0:
-                size -= 1
-            chain[size] = p
-            size += 1
-        for i in range(size - 1):
-            a, b = chain[i], chain[i + 1]
-            area += relative[world, 0, a] * relative[world, 1, b] - relative[world, 0, b] * relative[world, 1, a]
+            if (y[i] - y[at]) * (x[to] - x[i]) < (x[i] - x[at]) * (y[to] - y[i]):
+                to = i
+        area += x[at] * y[to] - y[at] * x[to]
+        at = to
+        if at == first:
+            break
     return area / 2.0
-
-
-class Terrain(NamedTuple):
-    """The points that an elevation window sees."""
-
-    fixed: np.ndarray  # (Q, 2) in voxels, by ascending x
-    moving: np.ndarray  # (m,) points of objects that can move
 
 
 @kernel
 def read_window(
-    points: np.ndarray,
+    storage: Storage,
     worlds: np.ndarray,
     fixed: np.ndarray,
     moving: np.ndarray,
-    com: np.ndarray,
+    numbers: np.ndarray,
     radius: int,
     is_ceiling: bool,
     out: np.ndarray,
 ) -> None:
-    """Reads how far the terrain is below (or above) the COM, in columns one voxel wide.
+    """Reads how far the terrain is below (or above) the robots' COM, in columns one voxel wide.
 
-    A column's reading is the distance to its nearest terrain point on that side, WINDOW_REACH where there is none.
-    All borders are strict, as in EvoGym: a point exactly on one is in no column.
+    A column's reading is the distance to its nearest terrain point on that side, WINDOW_REACH where there is none or
+    it is farther. All borders are strict, as in EvoGym: a point exactly on one is in no column.
 
     Args:
-        points: (N_POINT_ROWS, P, 8) state.
-        worlds: (8,) world of each lane, MISSING for none.
-        fixed: What to look at, with `moving`: see `Terrain`.
-        moving: See `Terrain`.
-        com: (N, 2) centres, metres.
+        storage: The worlds.
+        worlds: (m,) which of them.
+        fixed: (Q, 2) fixed points to look at, in voxels, by ascending x.
+        moving: Places of those that can move.
+        numbers: (N, N_NUMBERS) the robots' readings.
         radius: Columns to each side of the COM's.
         is_ceiling: Whether to look up.
         out: (N, 2 radius + 1) receives metres, left to right.
     """
-    for lane in range(lanes.N_LANES):
-        world = worlds[lane]
-        if world == MISSING:
-            continue
-        cx, cy = com[world, 0] / VOXEL, com[world, 1] / VOXEL
+    for w in worlds:
+        cx, cy = numbers[w, CENTRE], numbers[w, CENTRE + 1]
         for column in range(2 * radius + 1):
-            out[world, column] = WINDOW_REACH * VOXEL
+            out[w, column] = math.inf
         left, right = cx - radius - 1.0, cx + radius + 1.0
         low, high = 0, fixed.shape[0]
         while low < high:
@@ -294,12 +259,16 @@ def read_window(
         for q in range(low, fixed.shape[0]):
             if not fixed[q, 0] <= right:
                 break
-            _look(fixed[q, 0], fixed[q, 1], cx, cy, radius, is_ceiling, out, world)
+            _look(fixed[q, 0], fixed[q, 1], cx, cy, radius, is_ceiling, out, w)
         for q in range(moving.shape[0]):
-            p = moving[q]
-            x = points[X, p, lane] / VOXEL
+            x = storage.state[w, moving[q]] / VOXEL
             if left <= x <= right:
-                _look(x, points[Y, p, lane] / VOXEL, cx, cy, radius, is_ceiling, out, world)
+                _look(x, storage.state[w, moving[q] + 1] / VOXEL, cx, cy, radius, is_ceiling, out, w)
+        # EvoGym takes a column without a ceiling for one at the reach, and rounds; without a floor that is exact.
+        nothing = (cy + WINDOW_REACH) - cy if is_ceiling else WINDOW_REACH
+        for column in range(2 * radius + 1):
+            distance = out[w, column]
+            out[w, column] = VOXEL * min(nothing if distance == math.inf else distance, WINDOW_REACH)
 
 
 @inlined
@@ -311,4 +280,47 @@ def _look(x: float, y: float, cx: float, cy: float, radius: int, is_ceiling: boo
     nearest = math.floor(x - cx + 0.5)
     for i in range(nearest - 1, nearest + 2):
         if -radius <= i <= radius and cx + (i - 0.5) < x < cx + (i + 0.5):
-            out[world, i + radius] = min(out[world, i + radius], VOXEL * distance)
+            out[world, i + radius] = min(out[world, i + radius], distance)
+
+
+@kernel
+def read_voxels(
+    storage: Storage,
+    worlds: np.ndarray,
+    numbers: np.ndarray,
+    stiffness: np.ndarray,
+    actuation: np.ndarray,
+    template: np.ndarray,
+    out: np.ndarray,
+) -> None:
+    """Fills in all features of some worlds' voxels.
+
+    Args:
+        storage: The worlds.
+        worlds: (m,) which of them.
+        numbers: (N, N_NUMBERS) the robots' readings.
+        stiffness: (N, V) present stiffness.
+        actuation: (N, V) last actuation.
+        template: (N, V * N_FEATURES) float32 features that never change.
+        out: (N, V * N_FEATURES) float32.
+    """
+    for w in worlds:
+        design = storage.design_of[w, 0]
+        layout = layout_of(storage.ints[design], storage.floats[design])
+        m = layout.initial.shape[0]
+        xy, v = part(storage.state[w], 0, m), part(storage.state[w], m, m)
+        cx, cy = numbers[w, COM], numbers[w, COM + 1]
+        ux, uy = numbers[w, VELOCITY], numbers[w, VELOCITY + 1]
+        for k in range(out.shape[1]):
+            out[w, k] = template[w, k]
+        for i in range(0, layout.voxels.shape[0], 5):
+            column = layout.voxels[i]
+            at = column * N_FEATURES
+            for k in range(4):
+                p = layout.voxels[i + 1 + k]
+                out[w, at + POSITIONS + k] = xy[p] - cx
+                out[w, at + POSITIONS + 4 + k] = xy[p + 1] - cy
+                out[w, at + VELOCITIES + k] = v[p] - ux
+                out[w, at + VELOCITIES + 4 + k] = v[p + 1] - uy
+            out[w, at + STIFFNESS] = stiffness[w, column]
+            out[w, at + ACTUATION] = actuation[w, column]

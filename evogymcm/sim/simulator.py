@@ -1,47 +1,40 @@
 """Simulator: many worlds, advanced together."""
 
 import os
-from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
-from itertools import count
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from evogymcm.sim._jit import announce_compilation
-from evogymcm.sim.advance import State, advance, laid_out, new_state, reset_lanes, set_constants
-from evogymcm.sim.constants import MISSING, SUBSTEPS, Physics
-from evogymcm.sim.lanes import N_LANES
-from evogymcm.sim.scene import Layout, Scene, build_scene
-from evogymcm.sim.springs import N_STATE_ROWS, OLD_X, OLD_Y, VX, VY, X, Y
+from evogymcm.sim._threads import Threads
+from evogymcm.sim.advance import Room, Scratch, Storage, advance, new_scratch, set_stiffness
+from evogymcm.sim.constants import SUBSTEPS, Physics
+from evogymcm.sim.designs import Designs, Objects
+from evogymcm.sim.parts import PlacedObject
+from evogymcm.sim.scene import Scene
+from evogymcm.sim.tables import END_CELL, FIRST_CELL
+from evogymcm.sim.vectors import aligned_zeros, on_lines
 from evogymcm.sim.world import WorldObject
 
-Objects = tuple[WorldObject, ...]  # the robot first, then the others in simulation order
-
-
-@dataclass(eq=False)
-class Block:
-    """Up to eight worlds of one scene. `worlds` holds the world of each lane, MISSING for none."""
-
-    index: int
-    scene: Scene
-    layout: Layout
-    state: State
-    worlds: np.ndarray
+_LISTED = 4  # candidates, for each surface voxel, that a list has room for at first
+_SLACK = 1.125  # states grow by this much more than a larger robot needs
+POSITIONS, VELOCITIES, FORMER = range(3)  # of points
+_CONSTANTS, _FACTORS, _GOALS = range(3)  # of springs
 
 
 class Simulator:
     """Many voxel worlds that advance together; arrays in, arrays out, indexed by world.
 
-    Worlds with equal objects share a block of eight lanes. A world's result depends neither on the others nor on the
-    number of threads, to the last bit.
+    Each world is a job of its own: its result depends neither on the others nor on the number of threads, to the last
+    bit, and worlds of different robots cost no more than equal ones.
 
     Args:
         worlds: For each world its placed objects, the robot first.
-        edge_rule: How stiffness acts on shared edges, see `build_scene`.
+        edge_rule: How stiffness acts on shared edges, see `Scenery`.
         physics: The constants; the benchmark's by default.
-        num_threads: Threads for the blocks; all cores by default.
+        num_threads: Threads for the worlds; all cores by default.
         grid_shape: (rows, columns) of the grid in which actuation and stiffness are given, V = rows * columns; robots
             stand in its upper left corner. By default the smallest that holds every robot.
         placed: Objects that `reset` may place anew.
@@ -65,45 +58,124 @@ class Simulator:
             raise ValueError(f"num_threads: got {num_threads}, at least 1 is needed")
         shapes = np.array([objects[0].grid.shape for objects in worlds])
         needed = (int(shapes[:, 0].max()), int(shapes[:, 1].max()))
-        self.grid_shape = needed if grid_shape is None else grid_shape
-        if self.grid_shape[0] < needed[0] or self.grid_shape[1] < needed[1]:
-            raise ValueError(f"grid_shape: got {self.grid_shape}, the robots need at least {needed}")
+        self.grid_shape = needed if grid_shape is None else (int(grid_shape[0]), int(grid_shape[1]))
+        self._check_size(needed)
+        announce_compilation(advance)
         self.physics = physics or Physics()
         self.edge_rule = edge_rule
         self.n_worlds = len(worlds)
-        self.blocks: list[Block] = []
-        self.lane_of = np.zeros((self.n_worlds, 2), np.int64)  # block and lane of each world
-        self._values = self.physics.values()
-        self._placed = tuple(placed)
         available = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else (os.cpu_count() or 1)
-        groups: dict[Objects, list[int]] = {}
-        for world, objects in enumerate(worlds):
-            groups.setdefault(tuple(objects), []).append(world)
-        for objects, members in groups.items():
-            self._add_blocks(build_scene(objects, edge_rule, self._placed), members)
-        self.num_threads = min(num_threads or available, len(self.blocks))
-        announce_compilation(advance)
-        self._pool: ThreadPoolExecutor | None = None
-        self._pool_process = 0  # the process that has the pool's threads
+        self.num_threads = num_threads or available
+        self._threads = Threads(self.num_threads)
+        self._placed = tuple(placed)
+        self._worlds = [tuple(objects) for objects in worlds]
+        self._first = list(self._worlds)  # before a reset has placed anything anew
+        self._offsets = np.zeros((self.n_worlds, 2), np.int64)
+        self._all = np.arange(self.n_worlds)
+        self._unchanged = np.empty((0, self.n_cells))  # what stands for no stiffness
+        self._costs = np.zeros(self.n_worlds, np.int64)  # springs of each world
+        self._designs = Designs(edge_rule, self._placed, self.physics, self.grid_shape)
+        self._design_of = np.array([self._designs.take(objects) for objects in self._worlds], np.int64)
+        self._state = aligned_zeros(self.n_worlds, 0)
+        self._room = Room(0, 0, 0, 0, 0, 0, 0, 0)
+        self._scratches: list[Scratch] = []
+        self._constants = np.array(self.physics.values())
+        self._lay_out(self._designs.scenes.values())
+        for world in range(self.n_worlds):
+            self._begin(world)
+
+    def _check_size(self, needed: tuple[int, int]) -> None:
+        if self.grid_shape[0] < needed[0] or self.grid_shape[1] < needed[1]:
+            raise ValueError(f"grid_shape: got {self.grid_shape}, the robots need at least {needed}")
+
+    def _lay_out(self, scenes: Iterable[Scene]) -> None:
+        """Makes room for new scenes, where there is too little, and takes up the designs' present tables."""
+        size, room = self._state.shape[1], self._room
+        for scene in scenes:
+            layout = scene.layout
+            numbers, springs, cells = len(layout.initial), len(layout.rest), len(layout.surface)
+            robots = int(layout.objects[END_CELL] - layout.objects[FIRST_CELL])
+            lists = _LISTED * cells + 32, 2 * cells + 32
+            need = Room(
+                numbers, springs, on_lines(cells), robots * robots, len(layout.node_place), len(scene.objects), *lists
+            )
+            room = Room(*(max(one, two) for one, two in zip(room, need, strict=True)))
+            size = max(size, 3 * numbers + 3 * springs)
+        if size > self._state.shape[1]:
+            if self._state.shape[1]:
+                size = on_lines(int(_SLACK * size))
+            state = aligned_zeros(self.n_worlds, size)
+            state[:, : self._state.shape[1]] = self._state
+            self._state = state
+        if room != self._room:
+            self._room, self._scratches = room, []
+        layouts, terrains = self._designs.layouts, self._designs.terrains
+        tables = layouts.ints, layouts.floats, terrains.ints, terrains.floats
+        self._storage = Storage(*tables, self._design_of, self._state, self._constants)
+
+    def _begin(self, world: int) -> None:
+        """Puts a world to its very beginning: at reset, every spring at its rest length and stiffness 1."""
+        layout = self._scene(world).layout
+        self._costs[world] = len(layout.rest)
+        springs = self._springs(world)
+        springs[_CONSTANTS], springs[_FACTORS], springs[_GOALS] = layout.constants, 1.0, layout.rest
+        self._put_back(world)
+
+    def _put_back(self, world: int) -> None:
+        points = self._points(world)
+        points[VELOCITIES] = 0.0
+        points[POSITIONS] = points[FORMER] = self._scene(world).layout.initial.reshape(-1, 2)
 
     @property
     def n_cells(self) -> int:
         """Cells of the padded grid, V."""
         return self.grid_shape[0] * self.grid_shape[1]
 
-    def _add_blocks(self, scene: Scene, members: list[int]) -> None:
-        cells = scene.objects[0].topology.cells
-        columns = np.append(cells[:, 0] * self.grid_shape[1] + cells[:, 1], MISSING)  # the last entry keeps MISSING
-        layout = scene.layout._replace(
-            owners=columns[scene.layout.owners].astype(np.int32), drivers=columns[scene.layout.drivers].astype(np.int32)
-        )
-        for start in range(0, len(members), N_LANES):
-            lanes = np.full(N_LANES, MISSING, np.int64)
-            mine = members[start : start + N_LANES]
-            lanes[: len(mine)] = mine
-            self.lane_of[mine, 0] = len(self.blocks)
-            self.lane_of[mine, 1] = np.arange(len(mine))
-            self.blocks.append(Block(len(self.blocks), scene, layout, new_state(layout), lanes))
+    @property
+    def storage(self) -> Storage:
+        """The worlds' memory as kernels take it; other memory after `set_robot` or a `reset` that places objects."""
+        return self._storage
+
+    def _scene(self, world: int) -> Scene:
+        return self._designs.scenes[int(self._design_of[world, 0])]
+
+    def _points(self, world: int) -> np.ndarray:
+        """Returns (3, points, 2) to be changed: a world's moving points, their velocities and former positions."""
+        n = len(self._scene(world).layout.initial)
+        return self._state[world, : 3 * n].reshape(3, -1, 2)
+
+    def _springs(self, world: int) -> np.ndarray:
+        """Returns (3, springs) to be changed: constants, factors and goals."""
+        layout = self._scene(world).layout
+        n, s = len(layout.initial), len(layout.rest)
+        return self._state[world, 3 * n : 3 * n + 3 * s].reshape(3, -1)
+
+    def objects(self, world: int = 0) -> tuple[PlacedObject, ...]:
+        """Returns the objects of a world, the robot first."""
+        return self._scene(world).objects
+
+    def object(self, name: str, world: int = 0) -> PlacedObject:
+        """Returns an object of a world; ValueError where it has none of that name."""
+        return self._scene(world).object(name)
+
+    def set_robot(self, robot: WorldObject, world: int) -> None:
+        """Gives a world another robot, at reset and with stiffness 1.
+
+        Raises:
+            ValueError: It is larger than the padded grid.
+        """
+        self._check_size(robot.shape)
+        self._set_objects(world, (robot, *self._worlds[world][1:]))
+        self._begin(world)
+
+    def _set_objects(self, world: int, objects: Objects) -> None:
+        if objects == self._worlds[world]:
+            return
+        former = int(self._design_of[world, 0])
+        self._design_of[world] = self._designs.take(objects)
+        self._designs.give_back(former)
+        self._worlds[world] = objects
+        self._lay_out([self._scene(world)])
 
     def reset(self, mask: np.ndarray | None = None, offsets: np.ndarray | None = None) -> None:
         """Puts worlds back to their initial positions, at rest.
@@ -117,18 +189,22 @@ class Simulator:
         """
         if offsets is not None:
             offsets = self._rows("offsets", offsets, 2)
-        for block, worlds in self._chosen(mask):
-            chosen = worlds != MISSING
-            reset_lanes(block.layout, block.state, chosen)
-            if offsets is None:
-                continue
-            for placed in (block.scene.object(name) for name in self._placed):
-                for lane in np.flatnonzero(chosen):
-                    x, y = placed.origin + offsets[block.worlds[lane]]
-                    points = placed.topology.points(int(x), int(y)).T
-                    for row in ((X, Y), (OLD_X, OLD_Y)):
-                        block.state.points[row[0], placed.points, lane] = points[0]
-                        block.state.points[row[1], placed.points, lane] = points[1]
+        for world in self._chosen(mask):
+            if offsets is not None:
+                self._place(int(world), offsets[world])
+            self._put_back(world)
+
+    def _place(self, world: int, offset: np.ndarray) -> None:
+        """Moves the objects named in `placed` by whole voxels from where they first stood."""
+        robot, *others = self._worlds[world]
+        moved = []
+        for first, now in zip(self._first[world][1:], others, strict=True):
+            if first.name in self._placed:
+                origin = int(first.origin[0] + offset[0]), int(first.origin[1] + offset[1])
+                now = now if now.origin == origin else replace(first, origin=origin)
+            moved.append(now)
+        self._offsets[world] = offset
+        self._set_objects(world, (robot, *moved))
 
     def set_stiffness(self, stiffness: np.ndarray, mask: np.ndarray | None = None) -> None:
         """Sets the stiffness field of worlds, until it is set again.
@@ -141,15 +217,14 @@ class Simulator:
             ValueError: For another shape.
         """
         stiffness = self._rows("stiffness", stiffness, self.n_cells)
-        for block, worlds in self._chosen(mask):
-            set_constants(block.layout, block.state.springs, worlds, stiffness)
+        set_stiffness(self._storage, self._chosen(mask), stiffness)
 
     def step(
         self,
         actuation: np.ndarray,
         stiffness: np.ndarray | None = None,
         mask: np.ndarray | None = None,
-        then: Callable[[Block, np.ndarray], None] | None = None,
+        then: Callable[[np.ndarray, int], None] | None = None,
     ) -> np.ndarray:
         """Advances worlds by one env-step (30 substeps).
 
@@ -157,8 +232,7 @@ class Simulator:
             actuation: (N, V) target lengths relative to rest, float64; used as they are, at cells with an actuator.
             stiffness: (N, V) stiffness factors, float64, or None to keep the present ones.
             mask: (N,) bool, the worlds to advance; all by default.
-            then: Called with each block and its (8,) worlds (MISSING for lanes not advanced) in the thread that
-                advanced it, to read off it.
+            then: Called with (m,) worlds, and the number of the thread that has advanced them, in this thread.
 
         Returns:
             (N,) bool, the worlds that became unstable: these are in the state from before the step.
@@ -166,62 +240,100 @@ class Simulator:
         Raises:
             ValueError: For another shape.
         """
+        return self.substeps(SUBSTEPS, actuation, stiffness, mask, then)
+
+    def substeps(
+        self,
+        n: int,
+        actuation: np.ndarray,
+        stiffness: np.ndarray | None = None,
+        mask: np.ndarray | None = None,
+        then: Callable[[np.ndarray, int], None] | None = None,
+    ) -> np.ndarray:
+        """Advances worlds by `n` substeps, see `step`."""
         unstable = np.zeros(self.n_worlds, bool)
         actuation = self._rows("actuation", actuation, self.n_cells)
-        factors = np.empty((0, self.n_cells)) if stiffness is None else self._rows("stiffness", stiffness, self.n_cells)
+        factors = self._unchanged if stiffness is None else self._rows("stiffness", stiffness, self.n_cells)
+        while len(self._scratches) < self.num_threads:
+            self._scratches.append(new_scratch(self._room))
 
-        def run(job: tuple[Block, np.ndarray]) -> None:
-            block, worlds = job
-            layout, values = block.layout, self._values
-            while (failed := advance(layout, values, block.state, worlds, actuation, factors, SUBSTEPS)) == MISSING:
-                longer = (N_LANES, 2 * block.state.pairs.shape[1], 3)
-                block.state = block.state._replace(pairs=np.zeros(longer, np.int32))
-            if failed:
-                lanes = [lane for lane in range(N_LANES) if failed >> lane & 1]
-                unstable[block.worlds[lanes]] = True
+        def run(worlds: np.ndarray, thread: int) -> None:
+            done = 0
+            while True:
+                scratch = self._scratches[thread]
+                done += advance(self._storage, scratch, worlds[done:], actuation, factors, n, unstable)
+                if done == len(worlds):
+                    break
+                room = Room(*scratch.ints[: len(Room._fields)].tolist())
+                more = room._replace(candidates=2 * room.candidates, contacts=2 * room.contacts)
+                self._scratches[thread] = new_scratch(more)
             if then is not None:
-                then(block, worlds)
+                then(worlds, thread)
 
-        self._for_each(run, self._chosen(mask))
+        chosen = self._chosen(mask)
+        if self.num_threads == 1 or len(chosen) < 2:
+            if len(chosen):
+                run(chosen, 0)
+        else:
+            self._threads.run(run, chosen, self._costs[chosen])
         return unstable
 
     def positions(self, name: str = "robot", world: int = 0) -> np.ndarray:
         """Returns (2, n) positions in metres of an object's points in one world."""
-        return self._points(name, world, X)
+        return self._read(self.object(name, world).places, world, POSITIONS)
 
     def velocities(self, name: str = "robot", world: int = 0) -> np.ndarray:
         """Returns (2, n) integrated velocities of an object's points in one world."""
-        return self._points(name, world, VX)
+        return self._read(self.object(name, world).places, world, VELOCITIES)
 
-    def _points(self, name: str, world: int, row: int) -> np.ndarray:
-        block_index, lane = self.lane_of[world]
-        block = self.blocks[block_index]
-        numbers = block.scene.object(name).points
-        n = block.scene.n_points
-        fixed = block.layout.static_points.T if row == X else np.zeros_like(block.layout.static_points.T)
-        return np.concatenate([block.state.points[row : row + 2, :n, lane], fixed], axis=1)[:, numbers]
+    def _read(self, places: np.ndarray, world: int, row: int) -> np.ndarray:
+        static = self._scene(world).terrain.static.reshape(-1, 2)
+        out, is_moving = np.zeros((len(places), 2)), places >= 0
+        out[is_moving] = self._points(world)[row, places[is_moving] >> 1]
+        if row != VELOCITIES:
+            out[~is_moving] = static[~places[~is_moving] >> 1]
+        return np.ascontiguousarray(out.T)
+
+    def _all_places(self, world: int) -> np.ndarray:
+        return np.concatenate([placed.places for placed in self.objects(world)])
+
+    def points(self, world: int = 0) -> np.ndarray:
+        """Returns (2, n) positions in metres of all points of a world, object by object, the robot's first."""
+        return self._read(self._all_places(world), world, POSITIONS)
+
+    def set_points(self, positions: np.ndarray, velocities: np.ndarray, former: np.ndarray, world: int = 0) -> None:
+        """Sets positions, integrated velocities and the positions one substep ago, where points can move.
+
+        Args:
+            positions: (2, n) metres, of all points of the world, in the order of `points`.
+            velocities: (2, n).
+            former: (2, n) metres.
+            world: The world.
+        """
+        places = self._all_places(world)
+        is_moving = places >= 0
+        self._points(world)[:, places[is_moving] >> 1] = np.stack([positions, velocities, former])[
+            :, :, is_moving
+        ].transpose(0, 2, 1)
 
     def move(self, name: str, offset: tuple[float, float], world: int) -> None:
         """Shifts an object that has no fixed voxel by (x, y) metres, without giving it a velocity."""
-        block_index, lane = self.lane_of[world]
-        block = self.blocks[block_index]
-        placed = block.scene.object(name)
+        placed = self.object(name, world)
         if placed.topology.is_fixed.any():
             raise ValueError(f"move: {name!r} has fixed voxels")
-        for row in range(N_STATE_ROWS):
-            if row not in (VX, VY):
-                block.state.points[row, placed.points, lane] += offset[row % 2]
+        self._points(world)[[[POSITIONS], [FORMER]], placed.places >> 1] += offset
 
     def state(self) -> list[np.ndarray]:
-        """Returns a copy of the state of all worlds, for `set_state`."""
-        return [np.concatenate([b.state.points[:N_STATE_ROWS].ravel(), b.state.springs.ravel()]) for b in self.blocks]
+        """Returns a copy of the state of all worlds, for `set_state`: the offsets, then a row a world."""
+        rows = [np.concatenate([self._points(w).ravel(), self._springs(w).ravel()]) for w in range(self.n_worlds)]
+        return [self._offsets.copy(), *rows]
 
     def set_state(self, state: Sequence[np.ndarray]) -> None:
         """Takes up the state that `state` returned, of a simulator made with the same arguments."""
-        for block, saved in zip(self.blocks, state, strict=True):
-            points = block.state.points[:N_STATE_ROWS]
-            points[:] = saved[: points.size].reshape(points.shape)
-            block.state.springs[:] = saved[points.size :].reshape(block.state.springs.shape)
+        offsets, *rows = state
+        for world, row in enumerate(rows):
+            self._place(world, offsets[world])
+            self._state[world, : len(row)] = row
 
     def _rows(self, name: str, values: np.ndarray, n_columns: int) -> np.ndarray:
         """Returns (N, n_columns) float64 as kernels take it: they check neither shape nor indices."""
@@ -230,51 +342,28 @@ class Simulator:
             raise ValueError(f"{name}: got shape {values.shape}, expected {(self.n_worlds, n_columns)}")
         return values
 
-    def _chosen(self, mask: np.ndarray | None) -> list[tuple[Block, np.ndarray]]:
-        """Returns the blocks with a chosen world, each with its (8,) worlds, MISSING for the others."""
+    def _chosen(self, mask: np.ndarray | None) -> np.ndarray:
+        """Returns the numbers of the chosen worlds."""
         if mask is None:
-            return [(block, block.worlds) for block in self.blocks]
+            return self._all
         if mask.shape != (self.n_worlds,) or mask.dtype != bool:
             raise ValueError(f"mask: got {mask.dtype} of shape {mask.shape}, expected bool of shape ({self.n_worlds},)")
-        jobs = [
-            (block, np.where(mask[block.worlds] & (block.worlds != MISSING), block.worlds, MISSING))
-            for block in self.blocks
-        ]
-        return [(block, worlds) for block, worlds in jobs if (worlds != MISSING).any()]
-
-    def _for_each(self, run: Callable[[Any], None], jobs: list[Any]) -> None:
-        """Runs the jobs, on several threads where it pays; the kernels release Python's lock."""
-        if self.num_threads == 1 or len(jobs) < 2:
-            for job in jobs:
-                run(job)
-            return
-        if self._pool is None or self._pool_process != os.getpid():  # a forked process has none of the threads
-            self._pool = ThreadPoolExecutor(self.num_threads - 1, thread_name_prefix="evogymcm")
-            self._pool_process = os.getpid()
-        next_job = count()
-
-        def work() -> None:
-            while (i := next(next_job)) < len(jobs):
-                run(jobs[i])
-
-        others = [self._pool.submit(work) for _ in range(min(self.num_threads, len(jobs)) - 1)]
-        work()
-        for other in others:
-            other.result()
+        return np.flatnonzero(mask)
 
     def close(self) -> None:
         """Ends the threads. A later step starts them again, so that nothing is lost by closing too early."""
-        if self._pool is not None and self._pool_process == os.getpid():
-            self._pool.shutdown()
-        self._pool = None
+        self._threads.close()
 
     def __getstate__(self) -> dict[str, Any]:
-        return self.__dict__ | {"_pool": None}
+        return self.__dict__ | {"_scratches": [], "_storage": None, "_state": self._state.copy()}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        """Lays the tables out as in a new simulator: copied arrays would need kernels of their own, and slower ones."""
+        """Lays the state out as in a new simulator: a copied array need not begin on a cache line."""
         self.__dict__.update(state)
-        self.blocks = [replace(block, state=laid_out(block.state)) for block in self.blocks]
+        saved = self._state
+        self._state = aligned_zeros(*saved.shape)
+        self._state[:] = saved
+        self._lay_out([])
 
 
-__all__ = ["Block", "Objects", "Simulator"]
+__all__ = ["Objects", "Simulator"]

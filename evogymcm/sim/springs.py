@@ -1,9 +1,8 @@
-"""One substep of springs and points: Runge-Kutta integration and the limits on lengths.
+"""One substep of a world's springs and points: Runge-Kutta integration and the limits on lengths.
 
-Contact forces are made before (`contact.py`) and held over the four stages. State arrays are tables of lanes: (rows,
-points or springs, 8), one lane a world; the constants below name the rows.
-
-The operations stand in EvoGym's order, and round as it does.
+Contact forces are made before (`contact.py`) and held over the four stages. Points lie in memory as pairs x0 y0 x1 y1
+..., point p at place 2p; a group is eight springs, or four points. All operations stand in EvoGym's order, and round as
+it does; the tables say which springs a group holds and in which order a point's forces are added.
 """
 
 import math
@@ -11,7 +10,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from evogymcm.sim import lanes
 from evogymcm.sim._jit import inlined, kernel
 from evogymcm.sim.constants import (
     LIMIT_GAIN,
@@ -20,222 +18,252 @@ from evogymcm.sim.constants import (
     RIGID_STRETCH_LIMIT,
     SQUEEZE_LIMIT,
     STRETCH_LIMIT,
+    VOXEL,
     PhysicsValues,
 )
+from evogymcm.sim.vectors import (
+    alternating,
+    differences,
+    gather,
+    less,
+    load,
+    load_pair,
+    select,
+    spread,
+    sqrt,
+    store,
+    store_pair,
+    store_pairs,
+)
 
-# Rows of `points`. The first six are the state: position, integrated velocity, position one substep ago.
-X, Y, VX, VY, OLD_X, OLD_Y = range(6)
-N_STATE_ROWS = 6
-FX, FY, AX, AY, STAGE_X, STAGE_Y, STAGE_VX, STAGE_VY, SUM_X, SUM_Y, SUM_VX, SUM_VY, LISTED_X, LISTED_Y = range(6, 20)
-N_POINT_ROWS = 20
-# Rows of `springs`: constant and its factor, length to which an actuator drives it, present rest length, force.
-CONSTANT, FACTOR, GOAL, REST, FORCE_X, FORCE_Y = range(6)
-N_SPRING_ROWS = 6
+NO_FORCE = 0  # place in `force` of a pair that stays zero
+FIRST_FORCE = 8  # place of the first spring's pair
 
 
-class Pulls(NamedTuple):
-    """The springs at each point: those that begin there in order, then those that end there."""
+class SpringTables(NamedTuple):
+    """What never changes of a world's springs and points. G groups of springs, P points, S springs."""
 
-    start: np.ndarray  # (P + 1,) where a point's springs begin
-    turn: np.ndarray  # (P,) where those that end there begin
-    springs: np.ndarray  # (2 S,)
+    ends: np.ndarray  # (16 G,) places of the first ends, then of the second ones, of each group; see `differences`
+    rest: np.ndarray  # (8 G,) initial lengths
+    groups: np.ndarray  # two for each group of points: where in `pulls` springs that begin there start, and the others
+    pulls: np.ndarray  # places in `force` of the springs at four points, four by four: first those that begin there
+    free: np.ndarray  # one for each group of points: a mask of the numbers that integration moves
+    rigid: np.ndarray  # (2 R,) places of the ends of rigid voxels' edges, in the order in which they are corrected
+
+
+class SpringState(NamedTuple):
+    """A world's present points and springs."""
+
+    xy: np.ndarray  # positions
+    v: np.ndarray  # integrated velocities
+    old: np.ndarray  # positions one substep ago
+    constant: np.ndarray  # spring constants
+    factor: np.ndarray  # what scales them
+    goal: np.ndarray  # lengths to which actuators drive springs
+
+
+class SpringScratch(NamedTuple):
+    """Memory for what a substep forms on its way; numbers of points, but where springs are named."""
+
+    contact: np.ndarray  # forces of contact
+    pull: np.ndarray  # accelerations of the points on the implicit floor, for a moment
+    stage_xy: np.ndarray  # positions at which the present stage is taken
+    second_v: np.ndarray  # velocities at which the second, third and last stages are
+    third_v: np.ndarray
+    last_v: np.ndarray
+    sum_v: np.ndarray  # sum of the stages' changes of velocity
+    rest: np.ndarray  # of springs: the present rest lengths
+    force: np.ndarray  # of springs: pairs
+    beyond: np.ndarray  # of springs: numbers of those beyond their limits
 
 
 @kernel
-def _pull(ends: np.ndarray, points: np.ndarray, springs: np.ndarray, x: int, y: int, convergence: float) -> None:
-    """Sets the spring forces at the positions in rows `x` and `y`.
+def _pull(
+    ends: np.ndarray, xy: np.ndarray, state: SpringState, rest: np.ndarray, force: np.ndarray, convergence: float
+) -> None:
+    """Sets the spring forces at the positions `xy`.
 
     With a `convergence` above 0 (the first stage) it also sets the rest lengths, which hold for the whole substep.
     """
-    for s in range(ends.shape[0]):
-        a, b = ends[s, 0], ends[s, 1]
-        dx = lanes.load(points, x, a) - lanes.load(points, x, b)
-        dy = lanes.load(points, y, a) - lanes.load(points, y, b)
-        length = lanes.sqrt(dx * dx + dy * dy)
+    for g in range(ends.shape[0] // 16):
+        s = 8 * g
+        dx, dy = differences(xy, ends, 16 * g)
+        length = sqrt(dx * dx + dy * dy)
         if convergence > 0.0:
-            rest = length + convergence * (lanes.load(springs, GOAL, s) - length)
-            lanes.store(springs, REST, s, rest)
+            now = length + convergence * (load(state.goal, s) - length)
+            store(rest, s, now)
         else:
-            rest = lanes.load(springs, REST, s)
-        force = (length - rest) * lanes.load(springs, CONSTANT, s) / length * lanes.load(springs, FACTOR, s)
-        lanes.store(springs, FORCE_X, s, force * dx)
-        lanes.store(springs, FORCE_Y, s, force * dy)
-
-
-@kernel
-def _push_from_ground(points: np.ndarray, p: int, low: int, y: int, vx: int, physics: PhysicsValues) -> None:
-    """Adds the implicit floor's forces on point `p` in the lanes of the mask `low`; `y` and `vx` are rows."""
-    for lane in range(lanes.N_LANES):
-        if low >> lane & 1:
-            normal = -physics.ground_stiffness * points[y, p, lane]
-            points[AY, p, lane] += normal
-            drag = normal * math.tanh(points[vx, p, lane] * normal * physics.friction)
-            points[AX, p, lane] -= physics.ground_friction_gain * physics.friction * drag
+            now = load(rest, s)
+        size = (length - now) * load(state.constant, s) / length * load(state.factor, s)
+        store_pairs(force, FIRST_FORCE + 2 * s, size * dx, size * dy)
 
 
 @inlined
-def _slopes(pulls: Pulls, springs: np.ndarray, points: np.ndarray, p: int, x: int, v: int, physics: PhysicsValues):  # type: ignore[no-untyped-def]
-    """Returns the velocity and acceleration of point `p`, each times the substep.
+def _pulls(groups: np.ndarray, pulls: np.ndarray, force: np.ndarray, g: int):  # type: ignore[no-untyped-def]
+    """Returns the sums of the spring forces at the four points of a group, added spring by spring."""
+    total = spread(0.0)
+    turn = groups[2 * g + 1]
+    for i in range(groups[2 * g], turn, 4):
+        total = total - gather(force, pulls, i)
+    for i in range(turn, groups[2 * g + 2], 4):
+        total = total + gather(force, pulls, i)
+    return total
 
-    `x` and `v` are the first rows of the positions and velocities at which they are taken. A point gathers its springs'
-    forces in registers: adding them up in memory, spring by spring, waits for each sum to be stored.
-    """
-    pull_x = pull_y = lanes.spread(0.0)
-    turn = pulls.turn[p]
-    for i in range(pulls.start[p], turn):
-        pull_x = pull_x - lanes.load(springs, FORCE_X, pulls.springs[i])
-        pull_y = pull_y - lanes.load(springs, FORCE_Y, pulls.springs[i])
-    for i in range(turn, pulls.start[p + 1]):
-        pull_x = pull_x + lanes.load(springs, FORCE_X, pulls.springs[i])
-        pull_y = pull_y + lanes.load(springs, FORCE_Y, pulls.springs[i])
-    vx, vy = lanes.load(points, v, p), lanes.load(points, v + 1, p)
-    ax = pull_x - physics.drag * vx + lanes.load(points, FX, p)
-    ay = pull_y - physics.drag * vy - physics.gravity + lanes.load(points, FY, p)
-    low = lanes.less(lanes.load(points, x + 1, p), 0.0)
+
+@kernel
+def _push_from_ground(pull: np.ndarray, i: int, y: float, vx: float, physics: PhysicsValues) -> None:
+    """Adds the implicit floor's forces to the acceleration of the point at place `i`, which is below it."""
+    normal = -physics.ground_stiffness * y
+    pull[i + 1] += normal
+    drag = normal * math.tanh(vx * normal * physics.friction)
+    pull[i] -= physics.ground_friction_gain * physics.friction * drag
+
+
+@inlined
+def _acceleration(  # type: ignore[no-untyped-def]
+    tables: SpringTables, i: int, xy: np.ndarray, v: np.ndarray, scratch: SpringScratch, physics: PhysicsValues
+):
+    """Returns the accelerations of the four points from place `i` on."""
+    pull = scratch.pull
+    acceleration = _pulls(tables.groups, tables.pulls, scratch.force, i >> 3) - physics.drag * load(v, i)
+    acceleration = acceleration - alternating(0.0, physics.gravity) + load(scratch.contact, i)
+    low = less(load(xy, i), alternating(-math.inf, 0.0))
     if low:
-        lanes.store(points, AX, p, ax)
-        lanes.store(points, AY, p, ay)
-        _push_from_ground(points, p, low, x + 1, v, physics)
-        ax, ay = lanes.load(points, AX, p), lanes.load(points, AY, p)
+        store(pull, i, acceleration)
+        for k in range(4):
+            if low >> (2 * k + 1) & 1:
+                p = i + 2 * k
+                _push_from_ground(pull, p, xy[p + 1], v[p], physics)
+        acceleration = load(pull, i)
+    return acceleration
+
+
+@kernel
+def _first_stage(tables: SpringTables, state: SpringState, scratch: SpringScratch, physics: PhysicsValues) -> None:
+    """Begins the sum of changes, and sets the second stage's state, half of the way ahead."""
     h = physics.substep
-    return vx * h, vy * h, ax * h, ay * h
+    for i in range(0, state.xy.shape[0], 8):
+        change = _acceleration(tables, i, state.xy, state.v, scratch, physics) * h
+        v = load(state.v, i)
+        store(scratch.stage_xy, i, load(state.xy, i) + 0.5 * (v * h))
+        store(scratch.sum_v, i, change)
+        store(scratch.second_v, i, v + 0.5 * change)
 
 
 @kernel
-def _first_stage(pulls: Pulls, springs: np.ndarray, points: np.ndarray, physics: PhysicsValues) -> None:
-    """Begins the sums of ways, and sets the second stage's state, half of the way ahead."""
-    for p in range(points.shape[1]):
-        ways = _slopes(pulls, springs, points, p, X, VX, physics)
-        lanes.store(points, SUM_X + 0, p, ways[0])
-        lanes.store(points, STAGE_X + 0, p, lanes.load(points, X + 0, p) + 0.5 * ways[0])
-        lanes.store(points, SUM_X + 1, p, ways[1])
-        lanes.store(points, STAGE_X + 1, p, lanes.load(points, X + 1, p) + 0.5 * ways[1])
-        lanes.store(points, SUM_X + 2, p, ways[2])
-        lanes.store(points, STAGE_X + 2, p, lanes.load(points, X + 2, p) + 0.5 * ways[2])
-        lanes.store(points, SUM_X + 3, p, ways[3])
-        lanes.store(points, STAGE_X + 3, p, lanes.load(points, X + 3, p) + 0.5 * ways[3])
-
-
-@kernel
-def _middle_stage(pulls: Pulls, springs: np.ndarray, points: np.ndarray, share: float, physics: PhysicsValues) -> None:
-    """Adds the ways twice to their sums, and sets the next stage's state, a share of the way ahead."""
-    for p in range(points.shape[1]):
-        ways = _slopes(pulls, springs, points, p, STAGE_X, STAGE_VX, physics)
-        lanes.store(points, SUM_X + 0, p, lanes.load(points, SUM_X + 0, p) + 2.0 * ways[0])
-        lanes.store(points, STAGE_X + 0, p, lanes.load(points, X + 0, p) + share * ways[0])
-        lanes.store(points, SUM_X + 1, p, lanes.load(points, SUM_X + 1, p) + 2.0 * ways[1])
-        lanes.store(points, STAGE_X + 1, p, lanes.load(points, X + 1, p) + share * ways[1])
-        lanes.store(points, SUM_X + 2, p, lanes.load(points, SUM_X + 2, p) + 2.0 * ways[2])
-        lanes.store(points, STAGE_X + 2, p, lanes.load(points, X + 2, p) + share * ways[2])
-        lanes.store(points, SUM_X + 3, p, lanes.load(points, SUM_X + 3, p) + 2.0 * ways[3])
-        lanes.store(points, STAGE_X + 3, p, lanes.load(points, X + 3, p) + share * ways[3])
-
-
-@kernel
-def _last_stage(
-    pulls: Pulls, springs: np.ndarray, is_free: np.ndarray, points: np.ndarray, physics: PhysicsValues
-) -> None:
-    """Moves the free points by the mean of the ways."""
-    for p in range(points.shape[1]):
-        ways = _slopes(pulls, springs, points, p, STAGE_X, STAGE_VX, physics)
-        lanes.store(points, OLD_X, p, lanes.load(points, X, p))
-        lanes.store(points, OLD_Y, p, lanes.load(points, Y, p))
-        if is_free[p]:
-            mean = (lanes.load(points, SUM_X + 0, p) + ways[0]) / 6.0
-            lanes.store(points, X + 0, p, lanes.load(points, X + 0, p) + mean)
-            mean = (lanes.load(points, SUM_X + 1, p) + ways[1]) / 6.0
-            lanes.store(points, X + 1, p, lanes.load(points, X + 1, p) + mean)
-            mean = (lanes.load(points, SUM_X + 2, p) + ways[2]) / 6.0
-            lanes.store(points, X + 2, p, lanes.load(points, X + 2, p) + mean)
-            mean = (lanes.load(points, SUM_X + 3, p) + ways[3]) / 6.0
-            lanes.store(points, X + 3, p, lanes.load(points, X + 3, p) + mean)
-
-
-@kernel
-def integrate(
-    ends: np.ndarray,
-    pulls: Pulls,
-    is_free: np.ndarray,
-    points: np.ndarray,
-    springs: np.ndarray,
+def _middle_stage(
+    tables: SpringTables,
+    state: SpringState,
+    scratch: SpringScratch,
+    v: np.ndarray,
+    next_v: np.ndarray,
+    share: float,
     physics: PhysicsValues,
 ) -> None:
-    """Advances the points by one substep of classical Runge-Kutta; FX, FY hold the contact forces."""
-    _pull(ends, points, springs, X, Y, physics.convergence)
-    _first_stage(pulls, springs, points, physics)
-    _pull(ends, points, springs, STAGE_X, STAGE_Y, 0.0)
-    _middle_stage(pulls, springs, points, 0.5, physics)
-    _pull(ends, points, springs, STAGE_X, STAGE_Y, 0.0)
-    _middle_stage(pulls, springs, points, 1.0, physics)
-    _pull(ends, points, springs, STAGE_X, STAGE_Y, 0.0)
-    _last_stage(pulls, springs, is_free, points, physics)
+    """Adds twice the change to the sum, and sets the next stage's state, a share of the way ahead."""
+    h = physics.substep
+    for i in range(0, state.xy.shape[0], 8):
+        change = _acceleration(tables, i, scratch.stage_xy, v, scratch, physics) * h
+        store(scratch.stage_xy, i, load(state.xy, i) + share * (load(v, i) * h))
+        store(scratch.sum_v, i, load(scratch.sum_v, i) + 2.0 * change)
+        store(next_v, i, load(state.v, i) + share * change)
 
 
 @kernel
-def _share(squared, rest, shortest, longest):  # type: ignore[no-untyped-def]
-    """Returns which share of its vector each end of a spring beyond a limit is off, 0 in the lanes within."""
-    length = lanes.sqrt(squared)
-    stress = length / rest
-    too_long, too_short = lanes.less(longest, stress), lanes.less(stress, shortest)
-    limit = lanes.select(too_long, rest * longest, rest * shortest)
-    return lanes.select(too_long | too_short, (length - limit) / (length * 2.0), 0.0)
+def _last_stage(tables: SpringTables, state: SpringState, scratch: SpringScratch, physics: PhysicsValues) -> None:
+    """Moves the free points by the mean of the four stages' ways."""
+    h = physics.substep
+    free = tables.free
+    for g in range(free.shape[0]):
+        i = 8 * g
+        change = _acceleration(tables, i, scratch.stage_xy, scratch.last_v, scratch, physics) * h
+        xy, v = load(state.xy, i), load(state.v, i)
+        way = v * h + 2.0 * (load(scratch.second_v, i) * h)
+        way = way + 2.0 * (load(scratch.third_v, i) * h) + load(scratch.last_v, i) * h
+        store(state.old, i, xy)
+        store(state.xy, i, select(free[g], xy + way / 6.0, xy))
+        store(state.v, i, select(free[g], v + (load(scratch.sum_v, i) + change) / 6.0, v))
 
 
 @kernel
-def limit_lengths(
-    ends: np.ndarray,
-    rests: np.ndarray,
-    is_free: np.ndarray,
-    points: np.ndarray,
-    springs: np.ndarray,
-    beyond: np.ndarray,
-) -> None:
+def integrate(tables: SpringTables, state: SpringState, scratch: SpringScratch, physics: PhysicsValues) -> None:
+    """Advances the points by one substep of classical Runge-Kutta, under the forces in `scratch.contact`."""
+    ends, rest, force = tables.ends, scratch.rest, scratch.force
+    _pull(ends, state.xy, state, rest, force, physics.convergence)
+    _first_stage(tables, state, scratch, physics)
+    _pull(ends, scratch.stage_xy, state, rest, force, 0.0)
+    _middle_stage(tables, state, scratch, scratch.second_v, scratch.third_v, 0.5, physics)
+    _pull(ends, scratch.stage_xy, state, rest, force, 0.0)
+    _middle_stage(tables, state, scratch, scratch.third_v, scratch.last_v, 1.0, physics)
+    _pull(ends, scratch.stage_xy, state, rest, force, 0.0)
+    _last_stage(tables, state, scratch, physics)
+
+
+@inlined
+def _is_free(free: np.ndarray, place: int) -> bool:
+    return free[place >> 3] >> (place & 7) & 1
+
+
+@kernel
+def limit_lengths(tables: SpringTables, state: SpringState, scratch: SpringScratch) -> None:
     """Pulls springs that are too long or too short back, all at once from the same positions.
 
-    The first ends move first, all of them, as in EvoGym. `beyond` is scratch for the numbers of springs.
+    The first ends move first, all of them, as in EvoGym.
     """
+    xy, force, beyond, ends = state.xy, scratch.force, scratch.beyond, tables.ends
     n = 0
-    for s in range(ends.shape[0]):
-        a, b, rest = ends[s, 0], ends[s, 1], rests[s]
-        dx = lanes.load(points, X, a) - lanes.load(points, X, b)
-        dy = lanes.load(points, Y, a) - lanes.load(points, Y, b)
+    for g in range(ends.shape[0] // 16):
+        dx, dy = differences(xy, ends, 16 * g)
+        rest = load(tables.rest, 8 * g)
         squared = dx * dx + dy * dy
         longest, shortest = STRETCH_LIMIT * rest, SQUEEZE_LIMIT * rest
-        if lanes.less(longest * longest, squared) | lanes.less(squared, shortest * shortest):
-            share = _share(squared, rest, SQUEEZE_LIMIT, STRETCH_LIMIT)
-            lanes.store(springs, FORCE_X, s, dx * share * LIMIT_GAIN)
-            lanes.store(springs, FORCE_Y, s, dy * share * LIMIT_GAIN)
-            beyond[n] = s
-            n += 1
-    for i in range(n):
-        s = beyond[i]
-        p = ends[s, 0]
-        if is_free[p]:
-            lanes.store(points, X, p, lanes.load(points, X, p) - lanes.load(springs, FORCE_X, s))
-            lanes.store(points, Y, p, lanes.load(points, Y, p) - lanes.load(springs, FORCE_Y, s))
-    for i in range(n):
-        s = beyond[i]
-        p = ends[s, 1]
-        if is_free[p]:
-            lanes.store(points, X, p, lanes.load(points, X, p) + lanes.load(springs, FORCE_X, s))
-            lanes.store(points, Y, p, lanes.load(points, Y, p) + lanes.load(springs, FORCE_Y, s))
+        off = less(longest * longest, squared) | less(squared, shortest * shortest)
+        if off:
+            length = sqrt(squared)
+            stress = length / rest
+            too_long, too_short = less(STRETCH_LIMIT, stress), less(stress, SQUEEZE_LIMIT)
+            limit = select(too_long, rest * STRETCH_LIMIT, rest * SQUEEZE_LIMIT)
+            share = select(too_long | too_short, (length - limit) / (length * 2.0), spread(0.0))
+            store_pairs(force, FIRST_FORCE + 16 * g, dx * share * LIMIT_GAIN, dy * share * LIMIT_GAIN)
+            for lane in range(8):
+                if off >> lane & 1:
+                    beyond[n] = 8 * g + lane
+                    n += 1
+    for second in range(2):
+        for i in range(n):
+            slot = _slot(beyond[i])
+            p = ends[2 * (beyond[i] & ~7) + 8 * second + (slot & 7)]
+            if _is_free(tables.free, p):
+                move = load_pair(force, FIRST_FORCE + 2 * slot)
+                store_pair(xy, p, load_pair(xy, p) + move if second else load_pair(xy, p) - move)
+
+
+@inlined
+def _slot(spring: int) -> int:
+    """Returns where in memory a spring's pair is; see `vectors.LANE_SLOTS`."""
+    return (spring & ~7) | ((spring & 1) << 2) | ((spring >> 1) & 3)
 
 
 @kernel
-def limit_rigid(rigid: np.ndarray, ends: np.ndarray, rests: np.ndarray, points: np.ndarray) -> None:
+def limit_rigid(rigid: np.ndarray, xy: np.ndarray) -> None:
     """Corrects the edges of rigid voxels one after another, each from the positions that the last one left."""
-    for i in range(rigid.shape[0]):
-        s = rigid[i]
-        a, b, rest = ends[s, 0], ends[s, 1], rests[s]
-        ax, ay = lanes.load(points, X, a), lanes.load(points, Y, a)
-        bx, by = lanes.load(points, X, b), lanes.load(points, Y, b)
-        dx, dy = ax - bx, ay - by
+    longest, shortest = RIGID_STRETCH_LIMIT * VOXEL, RIGID_SQUEEZE_LIMIT * VOXEL
+    for i in range(0, rigid.shape[0], 2):
+        a, b = rigid[i], rigid[i + 1]
+        dx, dy = xy[a] - xy[b], xy[a + 1] - xy[b + 1]
         squared = dx * dx + dy * dy
-        longest, shortest = RIGID_STRETCH_LIMIT * rest, RIGID_SQUEEZE_LIMIT * rest
-        if lanes.less(longest * longest, squared) | lanes.less(squared, shortest * shortest):
-            share = _share(squared, rest, RIGID_SQUEEZE_LIMIT, RIGID_STRETCH_LIMIT)
+        if longest * longest < squared or squared < shortest * shortest:
+            length = math.sqrt(squared)
+            stress = length / VOXEL
+            if stress > RIGID_STRETCH_LIMIT:
+                limit = VOXEL * RIGID_STRETCH_LIMIT
+            elif stress < RIGID_SQUEEZE_LIMIT:
+                limit = VOXEL * RIGID_SQUEEZE_LIMIT
+            else:
+                continue
+            share = (length - limit) / (length * 2.0)
             dx, dy = dx * share * RIGID_LIMIT_GAIN, dy * share * RIGID_LIMIT_GAIN
-            lanes.store(points, X, a, ax - dx)
-            lanes.store(points, Y, a, ay - dy)
-            lanes.store(points, X, b, bx + dx)
-            lanes.store(points, Y, b, by + dy)
+            xy[a] -= dx
+            xy[a + 1] -= dy
+            xy[b] += dx
+            xy[b + 1] += dy

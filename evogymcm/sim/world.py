@@ -173,8 +173,11 @@ class World:
         return World(self.width, self.height, tuple(obj for obj in self.objects if obj.name != name))
 
     def simulation_order(self) -> tuple[WorldObject, ...]:
-        """Returns the objects as EvoGym simulates them: the robot first, then by name in plain string order."""
-        return tuple(sorted(self.objects, key=lambda obj: (obj.name != ROBOT, obj.name)))
+        """Returns the objects as EvoGym simulates them: those with actuators first, each kind by name as plain text.
+
+        The robot comes before all others; EvoGym's stands among those with actuators.
+        """
+        return tuple(sorted(self.objects, key=lambda o: (o.name != ROBOT, not has_actuator(o.grid), o.name)))
 
     @classmethod
     def load(cls, source: str | os.PathLike[str]) -> "World":

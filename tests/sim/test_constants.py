@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from evogymcm.sim import constants, scene, simulator, topology
+from evogymcm.sim import constants, parts, simulator, topology
 from evogymcm.sim.constants import H_ACT, RIGID, SOFT, V_ACT, Physics
 from tests.sim import test_golden as golden
 
@@ -34,7 +34,7 @@ def is_noticed():
     """Whether one of the recorded roll-outs is no longer followed."""
     for name in SMALLEST_FIRST:
         try:
-            golden.test_the_reference_is_followed(name)
+            golden.test_every_bit_is_the_references(name)
         except AssertionError:
             return True
     return False
@@ -74,14 +74,13 @@ def test_a_spring_constant_is_held(table, code, monkeypatch):
 @pytest.mark.slow
 @pytest.mark.parametrize("length", [0.1, np.sqrt(0.02)], ids=["edge", "diagonal"])
 def test_a_rest_length_is_held(length, monkeypatch):
-    springs = scene._springs
+    springs = parts.object_springs
 
-    def off(*args):
-        found = springs(*args)
-        is_meant = np.isclose(found["rest"], length)
-        return found | {"rest": np.where(is_meant, OFF * found["rest"], found["rest"])}
+    def off(*args, **options):
+        found = springs(*args, **options)
+        return found._replace(rest=np.where(np.isclose(found.rest, length), OFF * found.rest, found.rest))
 
-    monkeypatch.setattr(scene, "_springs", off)
+    monkeypatch.setattr(parts, "object_springs", off)
     assert is_noticed()
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from evogymcm.sim.constants import MISSING
-from evogymcm.sim.contact_order import add_keys, find_path, join_trees, refresh_boxes, sort_keys
+from evogymcm.sim.contact_order import add_keys, find_path, join_trees, sort_keys
 from evogymcm.sim.topology import BL, BR, TL, TR, topology
 from evogymcm.sim.trees import Tree, build_tree
 from tests.sim.tools import STANDARD, grid_of
@@ -25,8 +25,12 @@ class Walk:
         self.forest = join_trees(trees, voxels)
         sides = [*corners.min(1).T, *corners.max(1).T]
         self.boxes = np.full((4, len(self.forest.voxel)), np.nan)
-        for first, end in pairwise(self.forest.node_start):
-            refresh_boxes(first, end, self.forest.children, self.forest.voxel, *sides, self.boxes)
+        for node, voxel in enumerate(self.forest.voxel):
+            if voxel == MISSING:  # children have lower numbers
+                below = self.boxes[:, self.forest.children[node]]
+                self.boxes[:, node] = [*below[:2].min(1), *below[2:].max(1)]
+            else:
+                self.boxes[:, node] = [side[voxel] for side in sides]
 
     def root(self, k):
         return int(self.forest.node_start[k + 1]) - 1

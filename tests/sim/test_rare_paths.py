@@ -4,10 +4,21 @@ import numpy as np
 import pytest
 
 from evogymcm.sim.constants import EDGE_CONSTANT, FIXED, SOFT, Physics
-from evogymcm.sim.springs import CONSTANT, FACTOR
 from evogymcm.sim.world import World, WorldObject
 from tests.sim.test_contact import assert_close, compare
-from tests.sim.tools import SMALL, all_points, all_state, grid_of, place_points, placed, run_substeps, simulator
+from tests.sim.tools import (
+    SMALL,
+    all_points,
+    all_state,
+    forget_room,
+    grid_of,
+    place_points,
+    placed,
+    room_of,
+    run_substeps,
+    simulator,
+    springs_of,
+)
 from tests.sim.twin import Twin
 
 
@@ -65,23 +76,20 @@ def test_contact_without_stiffness_divides_by_nothing():
 
 def test_a_list_that_is_too_short_grows_unseen():
     sim, roomy = simulator(placed(SMALL)), simulator(placed(SMALL))
-    (block,) = sim.blocks
-    block.state = block.state._replace(pairs=np.zeros((8, 1, 3), np.int32))
+    forget_room(sim)
     for s in (sim, roomy):
         s.step(np.full((1, 6), 0.8))
     assert all_state(sim).tobytes() == all_state(roomy).tobytes()
-    assert sim.blocks[0].state.pairs.shape[1] > 1
+    assert room_of(sim)[0] > 1
 
 
 def test_stiffness_leaves_the_springs_of_other_objects():
     world = World(20, 10).place(WorldObject("block", grid_of("SS"), (10, 1)))
     sim = simulator(placed(SMALL, world))
-    (block,) = sim.blocks
-    before = block.state.springs[[CONSTANT, FACTOR]].copy()
+    before = springs_of(sim)
     sim.set_stiffness(np.full((1, 6), 2.0))
-    is_changed = (block.state.springs[[CONSTANT, FACTOR]] != before).any((0, 2))
-    first, end = block.layout.objects[0, :2]
-    is_robots = ((block.layout.ends >= first) & (block.layout.ends < end)).all(1)
+    is_changed = springs_of(sim).constants != before.constants
+    is_robots = (before.ends < sim.positions().shape[1]).all(1)
     assert not is_robots.all()
     np.testing.assert_array_equal(is_changed, is_robots)
 
@@ -90,7 +98,7 @@ def test_the_constant_of_an_edge_between_fixed_and_soft_voxels():
     """Its ends are fixed points, so that no roll-out can tell; only the constant itself can be looked at."""
     objects = objects_of(("bridge", "FS", (4, 4)))
     for rule, expected in (("mean_factor", 3e8 / 6), ("mean_stiffness", (3e8 / 3.5 + 3e8 / 6) / 2)):
-        layout = simulator(objects, edge_rule=rule).blocks[0].layout
-        between = ~layout.is_free[layout.ends].any(1)
-        np.testing.assert_allclose(layout.constants[between], [expected], rtol=1e-14)
+        sim = simulator(objects, edge_rule=rule)
+        springs, is_fixed = springs_of(sim), np.concatenate([placed.topology.is_fixed for placed in sim.objects()])
+        np.testing.assert_allclose(springs.constants[is_fixed[springs.ends].all(1)], [expected], rtol=1e-14)
     np.testing.assert_allclose(EDGE_CONSTANT[[FIXED, SOFT]], [3e8 / 3.5, 3e8 / 6], rtol=1e-14)

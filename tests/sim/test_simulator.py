@@ -11,9 +11,20 @@ import pytest
 
 from evogymcm.sim.constants import Physics
 from evogymcm.sim.simulator import Simulator
-from evogymcm.sim.springs import CONSTANT, FACTOR
+from evogymcm.sim.topology import topology
 from evogymcm.sim.world import World, WorldObject
-from tests.sim.tools import SMALL, STANDARD, all_state, grid_of, in_air, placed, simulator
+from tests.sim.tools import (
+    SMALL,
+    STANDARD,
+    all_state,
+    forget_room,
+    grid_of,
+    in_air,
+    placed,
+    room_of,
+    simulator,
+    springs_of,
+)
 
 STEPS = 12  # after five or so the robots are on the ground and contacts come and go
 BODIES = ("HSV/R.H", "HHHH/V..V", "VVV/SRS/H.H", "HS/SH/HH/S.")
@@ -35,11 +46,13 @@ def assert_equal_bits(ours, theirs):
         assert one.tobytes() == other.tobytes()
 
 
+@pytest.mark.usefixtures("small_batches_pay")
 def test_any_number_of_threads_gives_the_same_bits():
-    worlds = [placed(text) for text in (SMALL, *BODIES) for _ in range(5)]
+    worlds = [placed(text) for text in (SMALL, *BODIES) for _ in range(16)]  # they pay for two threads
     actions = random_actions(len(worlds), simulator(*worlds).n_cells)
-    one, two = (run(simulator(*worlds, num_threads=n), *actions) for n in (1, 2))
+    one, two, three = (run(simulator(*worlds, num_threads=n), *actions) for n in (1, 2, 3))
     assert_equal_bits(one, two)
+    assert_equal_bits(one, three)
 
 
 def test_a_world_alone_equals_the_world_in_a_batch():
@@ -154,13 +167,12 @@ def test_a_world_recovers_from_nan_by_reset():
     assert_equal_bits(run(sim, actuation), run(fresh, actuation))
 
 
-def test_lists_of_candidates_grow():
+def test_lists_of_candidates_and_contacts_grow_unseen():
     sim, roomy = simulator(*[placed(STANDARD)] * 2), simulator(*[placed(STANDARD)] * 2)
-    for block in sim.blocks:
-        block.state = block.state._replace(pairs=np.zeros((8, 1, 3), np.int32))
+    forget_room(sim)
     actions = random_actions(2, sim.n_cells)
     assert_equal_bits(run(sim, *actions), run(roomy, *actions))
-    assert sim.blocks[0].state.pairs.shape[1] > 1
+    assert all(1 < got < made for got, made in zip(room_of(sim), room_of(roomy), strict=True))
 
 
 def test_stiffness_one_is_no_stiffness():
@@ -211,11 +223,8 @@ def test_edge_rules_say_what_a_shared_edge_is():
     for rule, expected in (("mean_factor", 1.25 * 3e8 / 6), ("mean_stiffness", (0.5 * 3e8 / 5 + 2.0 * 3e8 / 6) / 2)):
         sim = simulator(in_air("HS"), edge_rule=rule)
         sim.set_stiffness(np.array([[0.5, 2.0]]))
-        block = sim.blocks[0]
-        shared = np.flatnonzero((block.layout.owners >= 0).all(1))
-        assert len(shared) == 1
-        constants = (block.state.springs[CONSTANT] * block.state.springs[FACTOR])[:, 0]
-        np.testing.assert_allclose(constants[shared[0]], expected, rtol=1e-14)
+        constants, (shared,) = springs_of(sim).constants, np.flatnonzero(topology(grid_of("HS")).edge_owners[:, 1] >= 0)
+        np.testing.assert_allclose(constants[shared], expected, rtol=1e-14)
         np.testing.assert_allclose(constants[0], 0.5 * 3e8 / 5, rtol=1e-14)
 
 
@@ -232,14 +241,14 @@ def test_stiffness_acts_on_no_other_object():
 
 def test_fixed_voxels_do_not_move():
     sim = simulator(placed(SMALL, "BridgeWalker-v0", (2, 5)))
-    names = [o.name for o in sim.blocks[0].scene.objects]
+    names = [o.name for o in sim.objects()]
     before = {name: sim.positions(name) for name in names}
     actuation, _ = random_actions(1, sim.n_cells)
     run(sim, actuation)
     moved = {name: np.abs(sim.positions(name) - before[name]).max(0) > 0 for name in names}
     assert moved["robot"].all()
     bridge = next(name for name in names if moved[name].any() and name != "robot")
-    fixed = sim.blocks[0].scene.object(bridge).topology.is_fixed
+    fixed = sim.object(bridge).topology.is_fixed
     assert not moved[bridge][fixed].any()
     assert sim.velocities(bridge).shape == before[bridge].shape
 

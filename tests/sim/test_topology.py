@@ -199,9 +199,8 @@ def test_topologies_and_springs_are_their_slow_twins():
         for name, array in arrays.items():
             assert_same(array, getattr(expected, name))
         assert_same(t.points(7, 3), slow_points(expected, 7, 3))
-        for is_robot, rule in product((True, False), EDGE_RULES):
-            springs = object_springs(t, is_robot, rule)
-            wanted = slow_springs(expected, is_robot, rule)
+        for with_fixed, rule in product((True, False), EDGE_RULES):
+            springs, wanted = object_springs(t, rule, with_fixed), slow_springs(expected, rule, with_fixed)
             assert set(springs._fields) == set(wanted)
             for name, values in wanted.items():
                 assert_same(getattr(springs, name), values.astype(np.int32) if values.dtype == np.int64 else values)
@@ -220,8 +219,8 @@ def test_what_is_no_voxel_or_point_is_refused():
 
 def test_a_long_stream_of_bodies_is_not_kept_in_memory():
     first = topology(np.full((1, 1), H_ACT))
-    gone = [ref(first), ref(object_springs(first, True).ends)]
+    gone = [ref(first), ref(object_springs(first).ends)]
     del first
     for i in range(CACHED):
-        object_springs(topology(1 + np.array([[i // 256, i // 64 % 4, i // 16 % 4, i // 4 % 4, i % 4]])), True)
+        object_springs(topology(1 + np.array([[i // 256, i // 64 % 4, i // 16 % 4, i // 4 % 4, i % 4]])))
     assert [r() for r in gone] == [None, None]

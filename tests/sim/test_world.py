@@ -117,11 +117,14 @@ def test_place_grows_the_world_and_leaves_the_old_one(world):
         world.place(WorldObject("robot", [[0, 3], [0, 3]], (3, 2)))  # only its empty cells meet the block
 
 
-def test_simulation_order():
+def test_simulation_order_is_by_name_with_actuators_first():
     world = World(9, 1)
-    for x, name in enumerate(["block_2", "zebra", "robot", "block_10", "Alpha"]):
-        world = world.place(WorldObject(name, [[3]], (x, 0)))
-    assert [obj.name for obj in world.simulation_order()] == ["robot", "Alpha", "block_10", "block_2", "zebra"]
+    for x, (name, code) in enumerate(
+        {"block_2": 1, "zebra": 4, "robot": 3, "block_10": 2, "Alpha": 5, "bird": 3}.items()
+    ):
+        world = world.place(WorldObject(name, [[code]], (x, 0)))
+    order = ["robot", "bird", "zebra", "Alpha", "block_10", "block_2"]
+    assert [obj.name for obj in world.simulation_order()] == order
 
 
 def test_objects_are_immutable_values():

@@ -124,8 +124,8 @@ def slow_points(t, x, y):
     return np.stack([px, py], axis=1)
 
 
-def slow_springs(t, is_robot, edge_rule):
-    """Returns the object's springs (edges, then diagonals), without those of fixed voxels only."""
+def slow_springs(t, edge_rule, with_fixed):
+    """Returns the object's springs (edges, then diagonals), without those of fixed voxels only unless asked for."""
     owners = t.edge_owners
     diagonal_constants = t.diagonal_constants()
     if edge_rule == "mean_factor":
@@ -142,12 +142,12 @@ def slow_springs(t, is_robot, edge_rule):
     result = {
         "ends": np.concatenate([t.edges, t.diagonals]),
         "rest": np.concatenate([np.full(len(t.edges), VOXEL), np.full(len(t.diagonals), np.sqrt(2 * VOXEL**2))]),
-        "owners": owners if is_robot else np.full_like(owners, MISSING),
+        "owners": owners,
         "constants": constants,
         "owner_constants": shares,
-        "drivers": np.concatenate([t.edge_drivers if is_robot else np.full_like(t.edge_drivers, MISSING), none]),
+        "drivers": np.concatenate([t.edge_drivers, none]),
     }
-    keep = soft.any(1)
+    keep = soft.any(1) | with_fixed
     numbers = np.cumsum(keep) - 1  # old spring number -> new one
     rigid = t.sides[t.codes == RIGID].reshape(-1)
     return {key: value[keep] for key, value in result.items()} | {"rigid": numbers[rigid]}

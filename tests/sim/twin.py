@@ -1,6 +1,6 @@
 """A slow twin of the simulator: the rules of one substep, written down once more, as plainly as possible.
 
-It keeps the fixed voxels as points and springs like all others, looks at every pair of voxels, and knows no lanes.
+It keeps the fixed voxels as points and springs like all others, looks at every pair of voxels, and adds up as it comes.
 """
 
 from itertools import pairwise

@@ -44,7 +44,16 @@ class Manipulation(Task):
 
 
 @dataclass(frozen=True)
-class Carrying(Manipulation):
+class PlainManipulation(Manipulation):
+    """Base: velocities are formed in metres, not in voxels, which changes last digits."""
+
+    def observation_parts(self, now: Snapshot) -> dict[str, np.ndarray | None]:
+        own = dict.fromkeys(("object_velocity", f"object_velocity:{self.watches[0]}"), now.object.plain_velocity)
+        return super().observation_parts(now) | {"velocity": now.robot.plain_velocity} | own
+
+
+@dataclass(frozen=True)
+class Carrying(PlainManipulation):
     """Move forward with a package that must not fall below `lowest`."""
 
     lowest: float = 0.3
@@ -55,7 +64,7 @@ class Carrying(Manipulation):
 
 
 @dataclass(frozen=True)
-class CarryingToTable(Manipulation):
+class CarryingToTable(PlainManipulation):
     """Bring the robot to `target`, with a package that must not fall; only the robot's own way pays, as in EvoGym."""
 
     target: float = 4.0
@@ -70,7 +79,7 @@ class CarryingToTable(Manipulation):
 
 
 @dataclass(frozen=True)
-class Pushing(Manipulation):
+class Pushing(PlainManipulation):
     """Move a package forward, and stay near it."""
 
     def reward(self, before: Snapshot, after: Snapshot) -> np.ndarray:
@@ -79,7 +88,7 @@ class Pushing(Manipulation):
 
 
 @dataclass(frozen=True)
-class Throwing(Manipulation):
+class Throwing(PlainManipulation):
     """Throw the package far; the robot's own way away from x = 0 costs a quarter."""
 
     def reward(self, before: Snapshot, after: Snapshot) -> np.ndarray:
@@ -106,7 +115,7 @@ class Catching(Manipulation):
 
 
 @dataclass(frozen=True)
-class Lifting(Manipulation):
+class Lifting(PlainManipulation):
     """Lift a package out of a pit."""
 
     target: float = 0.55

@@ -19,7 +19,8 @@ class Flipping(Task):
         was, now = before.robot.orientation, after.robot.orientation
         back = (was < pi / 3) & (now > 5 * pi / 3)
         over = (was > 5 * pi / 3) & (now < pi / 3)
-        return now - was + 2 * pi * (over.astype(float) - back)
+        # A turn is taken off the larger of the two, so that the difference is rounded as in EvoGym.
+        return (now - 2 * pi * back) - (was - 2 * pi * over)
 
     def endings(self, after: Snapshot) -> Iterator[Ending]:
         yield after.x < self.end_x, 0.0, False
@@ -114,9 +115,9 @@ TASKS = (
         observes=("velocity", "relative", "floor"),
         floor=Window(("ground",), 2),
     ),
-    # The target is the pole's left edge, not its middle, as in EvoGym.
-    Balancing("Balancer-v0", "Balancer-v0", (15, 3), 600, observes=("orientation", "relative"), target=(1.7, 0.5)),
-    Balancing("Balancer-v1", "Balancer-v1", (10, 1), 600, observes=("orientation", "relative"), target=(1.75, 0.6)),
+    # The target is the pole's left edge, not its middle, as in EvoGym: numbers as products of voxels are rounded.
+    Balancing("Balancer-v0", "Balancer-v0", (15, 3), 600, observes=("orientation", "relative"), target=(17 * 0.1, 0.5)),
+    Balancing("Balancer-v1", "Balancer-v1", (10, 1), 600, observes=("orientation", "relative"), target=(1.75, 6 * 0.1)),
     Patrolling(
         "BidirectionalWalker-v0", "BidirectionalWalker-v0", (33, 1), 1000, observes=("velocity", "relative", "goal")
     ),
