@@ -87,6 +87,7 @@ def evaluate(policy: TensorDictModuleBase, env: EnvBase) -> Evaluation:
     running = np.ones(n, dtype=bool)
     with exploration(False):
         state = env.reset()
+        ceiling = np.array(env.score_ceiling, dtype=np.float64)  # worlds of a stream hold other bodies later
         while running.any():
             step, state = env.step_and_maybe_reset(policy(state))  # finished worlds start anew and are ignored
             following = step["next"]
@@ -95,5 +96,4 @@ def evaluate(policy: TensorDictModuleBase, env: EnvBase) -> Evaluation:
             for record, key in ((score, "score"), (returns, "return"), (unstable, "unstable"), (goal, "reached")):
                 record[ended] = following[key].squeeze(-1).numpy()[ended]
             running &= ~ended
-    ceiling = np.array(env.score_ceiling, dtype=np.float64)
     return Evaluation(score, returns, length, goal, unstable, ceiling, n * int(length.max()))

@@ -53,6 +53,8 @@ def _copies(config: PPOConfig, env: EnvBase) -> int | None:
     """Returns the number of sets of weights, None for shared ones."""
     if config.sharing == "shared":
         return None
+    if getattr(env, "changes_bodies", False):
+        raise ValueError(f"sharing: got {config.sharing!r}, a stream of bodies needs 'shared': no world keeps its body")
     for name in ("num_worlds", "eval_worlds"):
         value = getattr(config, name)
         if value is not None and value % env.num_designs:

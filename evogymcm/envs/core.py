@@ -3,33 +3,31 @@
 Arrays are indexed by world and by cell of the padded grid (V cells, bodies in the upper left corner).
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
 
-from evogymcm._messages import brief
 from evogymcm.body import Body
 from evogymcm.envs import checks
-from evogymcm.envs.designs import MATERIALS, BodySpec, as_bodies, deal_fields, on_grid
-from evogymcm.envs.reader import BlockReader, Reader, Sensed
+from evogymcm.envs.designs import MATERIALS, BodySpec, Start, as_bodies, check_grid_shape, deal_fields
+from evogymcm.envs.reader import Reader, Sensed, WorldReader
+from evogymcm.envs.streams import BodySource, BodyStream, is_source, pack_bodies, unpack_bodies
 from evogymcm.envs.task import Snapshot, Task
 from evogymcm.envs.tasks import as_task
-from evogymcm.envs.voxels import N_FEATURES, voxel_template, voxel_types
+from evogymcm.envs.voxels import N_FEATURES, N_SIDES, describe
 from evogymcm.sim.constants import (
     ACTUATION_HIGH,
     ACTUATION_LOW,
-    H_ACT,
     STIFFNESS_HIGH,
     STIFFNESS_LOW,
-    V_ACT,
     Physics,
 )
 from evogymcm.sim.simulator import Simulator
-from evogymcm.sim.topology import Topology
-from evogymcm.sim.world import ROBOT, World, WorldObject
+from evogymcm.sim.world import World
 
 UNSTABLE_PENALTY = -3.0
+MOST_POINTS = 4  # that a voxel can have of its own
 # Arrays that a step can change, besides the simulator and the task's memory.
 _FLAGS = ("terminated", "truncated", "unstable", "reached")
 _STATE = ("actuation", "stiffness", "reward", "score", "returns", "length", *_FLAGS)
@@ -40,18 +38,25 @@ class TaskEngine:
 
     Args:
         task: A task or its id.
-        bodies: A body or a list of bodies (anything that `as_body` takes), dealt to the worlds in turn.
-        num_worlds: N; as many as bodies by default.
+        bodies: A body or a list of bodies (anything that `as_body` takes), dealt to the worlds in turn. Or a stream, of
+            which a world gets the next body at each reset: `draw(rng)`, called with a generator that is the world's
+            own and made from its seed, or an iterator, which cannot be seeded or saved. In the invariant setting a
+            stream may give (body, stiffness).
+        num_worlds: N; as many as bodies by default, 1 under a stream.
         material: "invariant" (stiffness belongs to the body) or "reactive" (stiffness is part of every action).
         stiffness: Invariant only: a field of the body's shape in [0.5, 2], or one for each body; None is 1 everywhere.
-        edge_rule: "mean_factor" or "mean_stiffness", see `evogymcm.sim.scene.build_scene`.
+            Not under a stream.
+        grid_shape: (rows, columns) of the padded grid; the smallest that holds all bodies by default. Needed under a
+            stream.
+        edge_rule: "mean_factor" or "mean_stiffness", see `evogymcm.sim.scene.Scenery`.
         physics: Constants; the benchmark's by default.
         num_threads: Threads; all cores by default.
-        seed: For tasks with random resets, see `set_seed`.
+        seed: For tasks with random resets and for streams, see `set_seed`.
         with_voxels: Whether to observe voxels (`self.voxels`).
         with_flat: Whether to form the flat observation, where all bodies are equal.
 
     Attributes:
+        bodies: The body of each world.
         voxels: (N, V, F) float32 what voxels sense, see `voxels.py`.
         types: (N, V, 5) uint8 type codes of voxels and their neighbours, see `voxels.py`.
         flat: (N, D) the task's own observation, None where bodies differ.
@@ -61,18 +66,18 @@ class TaskEngine:
         score: (N,) the sum of the episode's rewards but the last (the paper's score, once the episode has ended).
         returns: (N,) the sum of all of them.
         length: (N,) env-steps of the episode.
-        num_designs: How many bodies were given: world w holds design w modulo this.
+        num_designs: How many bodies were given: world w holds design w modulo this. N under a stream.
 
     Raises:
         ValueError: For an unknown task, material or edge rule, a body that is invalid or does not fit, a stiffness
             that is not finite, out of range, of another shape, or given in the reactive setting, and a task with
-            mistakes, see `evogymcm.testing.check_task`.
+            mistakes, see `evogymcm.testing.check_task`. A reset raises it where a stream gives such a body, or ends.
     """
 
     def __init__(
         self,
         task: str | Task,
-        bodies: BodySpec | Sequence[BodySpec],
+        bodies: BodySpec | Sequence[BodySpec] | BodySource,
         num_worlds: int | None = None,
         *,
         material: str = "invariant",
@@ -83,72 +88,119 @@ class TaskEngine:
         seed: int | Sequence[int | None] | None = None,
         with_voxels: bool = True,
         with_flat: bool = True,
+        grid_shape: tuple[int, int] | None = None,
     ) -> None:
         self.task = as_task(task)
         if material not in MATERIALS:
             raise ValueError(f"material: got {material!r}, allowed are {MATERIALS}")
         self.material = material
-        designs = as_bodies(bodies)
-        n = len(designs) if num_worlds is None else num_worlds
+        self._stream: BodyStream | None = None
+        if is_source(bodies):
+            self.grid_shape = check_grid_shape(grid_shape)
+            if stiffness is not None:
+                raise ValueError("stiffness: a stream gives it with each body, as (body, stiffness)")
+            n = self.num_designs = 1 if num_worlds is None else num_worlds
+        else:
+            designs = as_bodies(bodies)
+            self.grid_shape = check_grid_shape(grid_shape, designs)
+            n, self.num_designs = len(designs) if num_worlds is None else num_worlds, len(designs)
         if n < 1:
             raise ValueError(f"num_worlds: got {n}, at least 1 is needed")
-        self.num_worlds, self.num_designs = n, len(designs)
-        self.bodies = tuple(designs[i % len(designs)] for i in range(n))
+        self.num_worlds = n
         with checks.blaming(self.task):
             world = self.task.world if isinstance(self.task.world, World) else World.load(self.task.world)
             checks.check_fields(self.task, world)
-        placed = {body: self._place(world, body) for body in set(self.bodies)}
+        self._start = Start(self.task, world)
+        fields: np.ndarray | None
+        if is_source(bodies):
+            self._stream = BodyStream(bodies, n, self.grid_shape, material == "invariant")
+            self.set_seed(seed)
+            given = self._stream.next(np.arange(n))
+            self.bodies, fields = tuple(body for body, _ in given), np.stack([field for _, field in given])
+        else:
+            self.set_seed(seed)
+            self.bodies = tuple(designs[i % len(designs)] for i in range(n))
+            fields = deal_fields(stiffness, designs, material, n, self.grid_shape)
+        others = world.simulation_order()
+        placed = {body: (self._start.robot(body), *others) for body in dict.fromkeys(self.bodies)}
         scenes = [placed[body] for body in self.bodies]
-        self.simulator = Simulator(scenes, edge_rule, physics, num_threads, placed=self.task.moves_at_reset)
-        self.grid_shape = self.simulator.grid_shape
-        self._fields = deal_fields(stiffness, designs, material, n, self.grid_shape)
+        is_uniform = self._stream is None and len(placed) == 1
+        if not is_uniform:
+            with checks.blaming(self.task):
+                checks.check_windows(self.task)
+        self.simulator = Simulator(
+            scenes, edge_rule, physics, num_threads, self.grid_shape, placed=self.task.moves_at_reset
+        )
 
         v = self.simulator.n_cells
-        self.occupancy = np.stack([on_grid(b.occupancy, self.grid_shape, False) for b in self.bodies])
-        self.actuators = np.stack(
-            [on_grid(np.isin(b.grid, (H_ACT, V_ACT)), self.grid_shape, False) for b in self.bodies]
-        )
+        self.occupancy, self.actuators = np.zeros((n, v), bool), np.zeros((n, v), bool)
         self.with_voxels = with_voxels
-        self.types = self._per_body(voxel_types)
-        self._template = self._per_body(voxel_template) if with_voxels else np.zeros((n, v, N_FEATURES), np.float32)
+        self.types = np.zeros((n, v, N_SIDES), np.uint8)
+        self._template = np.zeros((n, v, N_FEATURES), np.float32)
+        self._describe(range(n))
         self.voxels = self._template.copy()
-        self._reader = Reader(self.task, self.simulator)
-        self.is_uniform = with_flat and len(placed) == 1
+        self._reader = Reader(self.task, self.simulator, 0 if self._stream is None else MOST_POINTS * v)
+        self.is_uniform = with_flat and is_uniform
 
-        self.stiffness = np.ones((n, v)) if self._fields is None else self._fields.copy()
+        self.stiffness = np.ones((n, v)) if fields is None else fields
         self.actuation = np.ones((n, v))
-        if self._fields is not None:
+        if fields is not None and material == "invariant":
             self.simulator.set_stiffness(self.stiffness)
         self.reward, self.score, self.returns = np.zeros(n), np.zeros(n), np.zeros(n)
         self.length = np.zeros(n, np.int64)
         self.terminated, self.truncated, self.unstable, self.reached = (np.zeros(n, bool) for _ in _FLAGS)
-        self.set_seed(seed)
         self.memory: dict[str, np.ndarray] = {}
+        if self._stream is not None:
+            self._stream.is_new[:] = True
         with checks.blaming(self.task):
             self.reset()
             checks.check_methods(self.task, self._reader.now)
+        self.score_ceiling = self._ceiling()
+        if self._stream is not None:
+            self._stream.is_new[:] = True
+
+    def _describe(self, worlds: Iterable[int]) -> None:
+        """Sets what observations say of the bodies of some worlds."""
+        arrays = self.occupancy, self.actuators, self.types, self._template
+        for world in worlds:
+            topology = self.simulator.objects(world)[0].topology
+            describe(self.bodies[world], topology, self.grid_shape[1], *(values[world] for values in arrays))
+
+    def _change_bodies(self, worlds: np.ndarray, bodies: Sequence[Body]) -> None:
+        """Gives worlds other bodies, at reset and with stiffness 1."""
+        robots = [self._start.robot(body) for body in bodies]
+        changed = list(self.bodies)
+        for world, body, robot in zip(worlds.tolist(), bodies, robots, strict=True):
+            self.simulator.set_robot(robot, world)
+            self._reader.clear(world)
+            changed[world] = body
+        self.bodies = tuple(changed)
+        for name in ("occupancy", "actuators", "types"):  # those that were shown stay as they were
+            setattr(self, name, getattr(self, name).copy())
+        self._describe(worlds.tolist())
+
+    def _go_on(self, stream: BodyStream, chosen: np.ndarray) -> bool:
+        """Gives the chosen worlds their next bodies, where the present one has begun an episode; returns if any had."""
+        is_changed = chosen & ~stream.is_new
+        worlds = np.flatnonzero(is_changed)
+        given = stream.next(worlds)
+        self._change_bodies(worlds, [body for body, _ in given])
+        for world, (_, field) in zip(worlds.tolist(), given, strict=True):
+            self.stiffness[world] = field
+        if self.material == "invariant":
+            self.simulator.set_stiffness(self.stiffness, is_changed)
+        stream.is_new[chosen] = False
+        return len(worlds) > 0
+
+    def _ceiling(self) -> np.ndarray:
+        """Returns (N,) the largest possible scores of episodes that begin with the present readings."""
         ceiling = self.task.score_ceiling(self._reader.now)
-        self.score_ceiling = np.full(n, np.nan) if ceiling is None else np.array(ceiling)
-
-    def _place(self, world: World, body: Body) -> tuple[WorldObject, ...]:
-        robot = WorldObject(ROBOT, body.grid, self.task.spawn, body.connections)
-        try:
-            return world.place(robot).simulation_order()
-        except ValueError as error:
-            raise ValueError(f"body {brief(body.text)} does not fit in {self.task.id}: {error}") from error
-
-    def _per_body(self, describe: Callable[[Body, Topology, tuple[int, int]], np.ndarray]) -> np.ndarray:
-        """Returns (N, V, ...) what `describe` says of each world's body."""
-        rows = {}
-        for block in self.simulator.blocks:
-            body = self.bodies[block.worlds[0]]
-            if body not in rows:
-                rows[body] = describe(body, block.scene.objects[0].topology, self.grid_shape)
-        return np.stack([rows[body] for body in self.bodies])
+        return np.full(self.num_worlds, np.nan) if ceiling is None else np.array(ceiling, np.float64)
 
     def reset(self, mask: np.ndarray | None = None) -> None:
         """Starts new episodes in the worlds of the (N,) bool mask, in all by default."""
         chosen = np.ones(self.num_worlds, bool) if mask is None else checks.checked_mask(mask, self.num_worlds)
+        has_changed = self._stream is not None and self._go_on(self._stream, chosen)
         self._draw(chosen)
         self.simulator.reset(chosen, self.memory["offset"] if self.task.moves_at_reset else None)
         self.actuation[chosen] = 1.0
@@ -160,15 +212,19 @@ class TaskEngine:
             getattr(self, name)[chosen] = False
         self._renew_voxels(mask)
         self._reader.remember(self.memory, chosen)
-        self._reader.read(chosen, self._block_reader())
+        self._world_reader()(np.flatnonzero(chosen), 0)
+        if has_changed:
+            self.score_ceiling = np.where(chosen, self._ceiling(), self.score_ceiling)
 
-    def _block_reader(self) -> BlockReader:
-        """Returns what reads a block into the present snapshot."""
+    def _world_reader(self) -> WorldReader:
+        """Returns what reads worlds into the present snapshot."""
         sensed = Sensed(self.stiffness, self.actuation, self._template, self.voxels) if self.with_voxels else None
-        return self._reader.block_reader(sensed)
+        return self._reader.reader(sensed)
 
     def _draw(self, chosen: np.ndarray) -> None:
         """Draws what the episodes of the chosen worlds hold at random, each from its world's own generator."""
+        if type(self.task).draw is Task.draw and not self.task.moves_at_reset:
+            return  # nothing
         for world in np.flatnonzero(chosen):
             row = checks.checked_draw(self.task, self.task.draw(self._rngs[world]), self.memory)
             if not self.memory:
@@ -202,10 +258,12 @@ class TaskEngine:
             self.actuation[mask] = given[mask]
             if factors is not None:
                 self.stiffness[mask] = factors[mask]
+        if self._stream is not None:
+            self._stream.is_new[True if mask is None else mask] = False
         self._reader.turn()
         self._reader.remember(self.memory, mask)
         self._renew_voxels(mask)
-        unstable = self.simulator.step(self.actuation, factors, mask, self._block_reader())
+        unstable = self.simulator.step(self.actuation, factors, mask, self._world_reader())
         if mask is not None:
             self._reader.keep(~mask)
         self._reward(mask, unstable)
@@ -217,29 +275,48 @@ class TaskEngine:
 
     def _reward(self, mask: np.ndarray | None, unstable: np.ndarray) -> None:
         """Rewards and endings of the step, for the worlds of the mask."""
-
-        def chosen(new: np.ndarray, old: Any) -> np.ndarray:
-            return new if mask is None else np.where(mask, new, old)
-
         before, now = self._reader.before, self._reader.now
         reward = checks.checked_reward(self.task.reward(before, now), self.num_worlds)
-        terminated, reached = unstable.copy(), np.zeros_like(unstable)
-        reward = reward + np.where(unstable, UNSTABLE_PENALTY, 0.0)
+        terminated, reached = unstable.copy(), np.zeros(self.num_worlds, bool)
+        broke_down = unstable.any()
+        if broke_down:
+            reward += np.where(unstable, UNSTABLE_PENALTY, 0.0)
         for condition, bonus, is_goal in checks.checked_endings(self.task, now):
-            reward = reward + np.where(condition, bonus, 0.0)
-            terminated |= condition
-            reached |= condition & is_goal
-        for name, values in checks.checked_memory(self.task.remember(now), self.memory).items():
+            if condition.any():
+                reward += np.where(condition, bonus, 0.0)
+                terminated |= condition
+                reached |= condition & is_goal
+        if broke_down:
+            reached &= ~unstable  # an unstable step goes nowhere
+        if self.memory:
+            self._remember(mask)
+        length = self.length + 1
+        new = {
+            "length": length,
+            "score": self.returns,
+            "reward": reward,
+            "returns": self.returns + reward,
+            "terminated": terminated,
+            "truncated": length >= self.task.time_limit,
+            "unstable": unstable,
+            "reached": reached,
+        }
+        if mask is not None:
+            self.reward = np.zeros(self.num_worlds)  # of those that have made no step
+            new = {name: np.where(mask, values, getattr(self, name)) for name, values in new.items()}
+        for name, values in new.items():
+            setattr(self, name, values)
+
+    def _remember(self, mask: np.ndarray | None) -> None:
+        """Takes up the task's memory for the next step, for the worlds of the mask."""
+        for name, values in checks.checked_memory(self.task.remember(self._reader.now), self.memory).items():
             rows = True if mask is None else mask.reshape(-1, *([1] * (values.ndim - 1)))
             self.memory[name] = np.where(rows, values, self.memory[name])
-        self.length = self.length + (1 if mask is None else mask)
-        self.score = chosen(self.returns, self.score)
-        self.reward = chosen(reward, 0.0)
-        self.returns = self.returns + self.reward
-        self.terminated = chosen(terminated, self.terminated)
-        self.truncated = chosen(self.length >= self.task.time_limit, self.truncated)
-        self.unstable = chosen(unstable, self.unstable)
-        self.reached = chosen(reached & ~unstable, self.reached)  # an unstable step goes nowhere
+
+    @property
+    def changes_bodies(self) -> bool:
+        """Whether bodies come from a stream: worlds get another one when they are reset."""
+        return self._stream is not None
 
     @property
     def snapshot(self) -> Snapshot:
@@ -268,7 +345,7 @@ class TaskEngine:
         return np.concatenate(parts, axis=1)
 
     def set_seed(self, seed: int | Sequence[int | None] | None) -> None:
-        """Seeds random resets: one seed for each world, or one for the first, from which the others count up.
+        """Seeds random resets and streams: one seed a world, or one for the first, from which the others count up.
 
         None draws from the operating system. Nothing happens before the next reset.
         """
@@ -278,15 +355,29 @@ class TaskEngine:
         if len(seeds) != self.num_worlds:
             raise ValueError(f"seed: got {len(seeds)} seeds, expected one for each of {self.num_worlds} worlds")
         self._rngs = [np.random.default_rng(value) for value in seeds]
+        if self._stream is not None:
+            self._stream.set_seed(seeds)
 
     def state(self) -> dict[str, Any]:
-        """Returns a copy of everything that a step or a reset can change, for `set_state`."""
-        return {name: getattr(self, name).copy() for name in _STATE} | {
-            "simulator": self.simulator.state(),
-            "memory": {name: values.copy() for name, values in self.memory.items()},
-            "shown": {name: values.copy() for name, values in self._reader.now.memory.items()},
-            "rngs": [rng.bit_generator.state for rng in self._rngs] if self.memory else [],
-        }
+        """Returns a copy of everything that a step or a reset can change, for `set_state`.
+
+        Raises:
+            ValueError: Bodies come from an iterator, whose place cannot be saved.
+        """
+        stream = {}
+        if self._stream is not None:
+            stream = {"stream": self._stream.state() | {"bodies": pack_bodies(self.bodies)}}
+            stream["stream"]["score_ceiling"] = self.score_ceiling.copy()
+        return (
+            stream
+            | {name: getattr(self, name).copy() for name in _STATE}
+            | {
+                "simulator": self.simulator.state(),
+                "memory": {name: values.copy() for name, values in self.memory.items()},
+                "shown": {name: values.copy() for name, values in self._reader.now.memory.items()},
+                "rngs": [rng.bit_generator.state for rng in self._rngs] if self.memory else [],
+            }
+        )
 
     def set_state(self, state: dict[str, Any]) -> None:
         """Takes up a state of an engine made with the same arguments."""
@@ -296,6 +387,11 @@ class TaskEngine:
         self.memory = {name: np.array(values) for name, values in state["memory"].items()}
         for rng, saved in zip(self._rngs, state["rngs"], strict=False):
             rng.bit_generator.state = saved
+        if self._stream is not None:
+            saved = state["stream"]
+            self._stream.set_state(saved)
+            self._change_bodies(np.arange(self.num_worlds), unpack_bodies(saved["bodies"]))
+            self.score_ceiling = np.array(saved["score_ceiling"])
         self.simulator.set_state(state["simulator"])
         self.refresh()
         # The last observation was formed before the task's memory moved on.
@@ -309,4 +405,4 @@ class TaskEngine:
         """Reads all worlds anew, after the simulator's state or the memory was changed from outside."""
         self._renew_voxels(None)
         self._reader.remember(self.memory)
-        self._reader.read(np.ones(self.num_worlds, bool), self._block_reader())
+        self._world_reader()(np.arange(self.num_worlds), 0)

@@ -2,12 +2,15 @@
 
 import os
 from collections.abc import Sequence
+from operator import index
 from typing import Any
 
 import numpy as np
 
 from evogymcm._messages import brief
 from evogymcm.body import Body, as_body, check_stiffness, is_body_text
+from evogymcm.envs.task import Task
+from evogymcm.sim.world import ROBOT, World, WorldObject
 
 MATERIALS = ("invariant", "reactive")
 
@@ -21,17 +24,22 @@ def as_bodies(bodies: Any) -> list[Body]:
     or of sequences of codes. Other lists, and arrays of shape (n, rows, cols), are several.
 
     Raises:
-        ValueError: For an empty list, or a body that is not valid.
+        ValueError: For an empty list, a body that is not valid, and a stream.
     """
     if isinstance(bodies, Body | str | os.PathLike):
         return [as_body(bodies)]
+    if callable(bodies) or hasattr(bodies, "__next__"):
+        raise ValueError(
+            f"bodies: got {brief(bodies)}, a stream, which TaskEngine, SoftRobotEnv and population_env take; a list is "
+            "needed here"
+        )
     try:
         items = list(np.asarray(bodies) if hasattr(bodies, "__array__") else bodies)
     except TypeError:
         raise ValueError(f"bodies: got {brief(bodies)}, expected a body or a list of bodies") from None
     if not items:
         raise ValueError("bodies: got none, at least one is needed")
-    if all(_is_row(item) for item in items):
+    if all(is_row(item) for item in items):
         try:
             return [as_body(items)]
         except ValueError as error:
@@ -41,7 +49,7 @@ def as_bodies(bodies: Any) -> list[Body]:
     return [as_body(item) for item in items]
 
 
-def _is_row(item: Any) -> bool:
+def is_row(item: Any) -> bool:
     """Returns whether something is one row of a body: cells in a text without '/', or codes."""
     if isinstance(item, str):
         return is_body_text(item) and "/" not in item.strip() and "\n" not in item.strip()
@@ -53,6 +61,52 @@ def _is_row(item: Any) -> bool:
 def _ndim(value: Any) -> int:
     """Returns how deep sequences are nested, of whatever and however unequal."""
     return np.asarray(value, object).ndim
+
+
+def check_grid_shape(grid_shape: Any, designs: Sequence[Body] | None = None) -> tuple[int, int]:
+    """Returns (rows, columns) of the padded grid: those given, else the smallest that holds all bodies.
+
+    Raises:
+        ValueError: They are not two whole numbers of at least 1, hold not every body, or are needed, since bodies are
+            not known beforehand (`designs` is None), and not given.
+    """
+    needed = (1, 1) if designs is None else (max(body.rows for body in designs), max(body.cols for body in designs))
+    if grid_shape is None:
+        if designs is None:
+            raise ValueError("grid_shape: a stream of bodies (an iterator or a callable) needs it: (rows, columns)")
+        return needed
+    try:
+        rows, columns = (index(number) for number in grid_shape)
+    except (TypeError, ValueError):
+        raise ValueError(f"grid_shape: got {brief(grid_shape)}, expected (rows, columns)") from None
+    if rows < needed[0] or columns < needed[1]:
+        raise ValueError(f"grid_shape: got {(rows, columns)}, at least {needed} is needed")
+    return rows, columns
+
+
+class Start:
+    """Where bodies start in the world of a task.
+
+    Args:
+        task: The task.
+        world: Its world.
+    """
+
+    def __init__(self, task: Task, world: World) -> None:
+        self._task, self._world = task, world
+        self._fitting: set[tuple[int, int]] = set()
+
+    def robot(self, body: Body) -> WorldObject:
+        """Returns a body as it starts; ValueError where it does not fit in, which its shape alone decides."""
+        connections = None if body.has_default_connections else body.connections
+        robot = WorldObject(ROBOT, body.grid, self._task.spawn, connections)
+        if body.shape not in self._fitting:
+            try:
+                self._world.place(robot)
+            except ValueError as error:
+                raise ValueError(f"body {brief(body.text)} does not fit in {self._task.id}: {error}") from error
+            self._fitting.add(body.shape)
+        return robot
 
 
 def on_grid(values: np.ndarray, grid_shape: tuple[int, int], fill: Any) -> np.ndarray:

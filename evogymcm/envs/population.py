@@ -15,6 +15,7 @@ from evogymcm.body import Body
 from evogymcm.envs.core import TaskEngine
 from evogymcm.envs.designs import BodySpec, as_bodies
 from evogymcm.envs.render import Renderer
+from evogymcm.envs.streams import BodySource, is_source
 from evogymcm.envs.task import Task
 from evogymcm.envs.torchrl import SoftRobotEnv, check_action
 from evogymcm.sim.constants import Physics
@@ -32,19 +33,25 @@ class PopulationEnv(EnvBase):
     Of TorchRL's transforms, `RewardSum` must stand before `StepCounter`: by itself, `StepCounter` (0.14) declares the
     group without its agent dimension, and collectors then fail.
 
+    Under a stream of bodies an agent stays when it restarts, and its body is the next one. Copies are then populations
+    of their own, with other bodies.
+
     Args:
         task: A task or its id.
-        bodies: The P bodies.
+        bodies: The P bodies, or a stream of them, see `TaskEngine`.
         copies: C copies of the whole population, batch size [C] and shapes [C, P, ...]; None for one, batch size [].
         material: "invariant" or "reactive".
         stiffness: Invariant only: one field for each body; None is 1 everywhere.
         edge_rule: How stiffness acts on shared edges: "mean_factor" or "mean_stiffness".
-        seed: For tasks with random resets.
+        seed: For tasks with random resets and for streams.
         num_threads: Threads of the simulator; all cores by default.
         device: Where tensors go; the simulator runs on the CPU.
         physics: Constants; the benchmark's by default.
         group_map: Which agents (`body_0` ...) form which group, or one of TorchRL's ready maps. By default all are in
             the one group `bodies`.
+        grid_shape: (rows, columns) of the padded grid; the smallest that holds all bodies by default. Needed under a
+            stream.
+        num_bodies: P; needed under a stream.
 
     Attributes:
         worlds: The `SoftRobotEnv` of all C * P worlds; world c * P + p is body p of copy c.
@@ -61,7 +68,7 @@ class PopulationEnv(EnvBase):
     def __init__(
         self,
         task: str | Task,
-        bodies: BodySpec | Sequence[BodySpec],
+        bodies: BodySpec | Sequence[BodySpec] | BodySource,
         copies: int | None = None,
         *,
         material: str = "invariant",
@@ -72,23 +79,30 @@ class PopulationEnv(EnvBase):
         device: torch.device | str | None = None,
         physics: Physics | None = None,
         group_map: MarlGroupMapType | Mapping[str, Sequence[str]] | None = None,
+        grid_shape: tuple[int, int] | None = None,
+        num_bodies: int | None = None,
     ) -> None:
-        designs = as_bodies(bodies)
+        designs = bodies if is_source(bodies) else as_bodies(bodies)
+        number = len(designs) if isinstance(designs, list) else num_bodies
+        if number is None or number < 1 or num_bodies not in (None, number):
+            allowed = f"{number}, the number of bodies" if isinstance(designs, list) else "1 and more under a stream"
+            raise ValueError(f"num_bodies: got {num_bodies}, allowed is {allowed}")
         if copies is not None and copies < 1:
             raise ValueError(f"copies: got {copies}, at least 1 is needed, or None for no batch dimension")
         super().__init__(device=device, batch_size=[] if copies is None else [copies])
-        self.agent_names = [f"body_{i}" for i in range(len(designs))]
+        self.agent_names = [f"body_{i}" for i in range(number)]
         self.group_map = self._make_groups(group_map)
         worlds = SoftRobotEnv(
             task,
             designs,
-            len(designs) * (copies or 1),
+            number * (copies or 1),
             material=material,
             stiffness=stiffness,
             edge_rule=edge_rule,
             seed=seed,
             num_threads=num_threads,
             physics=physics,
+            grid_shape=grid_shape,
         )
         object.__setattr__(self, "worlds", worlds)  # no submodule: its state is saved as ours, once
         order = {name: i for i, name in enumerate(self.agent_names)}
@@ -132,7 +146,7 @@ class PopulationEnv(EnvBase):
 
     @property
     def bodies(self) -> tuple[Body, ...]:
-        """The P bodies."""
+        """The P bodies; under a stream the present ones, of the first copy."""
         return self.worlds.bodies[: self.num_bodies]
 
     @property
@@ -157,7 +171,7 @@ class PopulationEnv(EnvBase):
 
     @property
     def score_ceiling(self) -> np.ndarray:
-        """(P,) the largest possible scores, NaN where they are not known."""
+        """(P,) the largest possible scores of `bodies`, NaN where they are not known."""
         return self.worlds.score_ceiling[: self.num_bodies]
 
     def _group(self, rows: TensorDictBase) -> TensorDict:
@@ -224,7 +238,7 @@ class PopulationEnv(EnvBase):
         super().close(raise_if_closed=raise_if_closed)
 
     def get_extra_state(self) -> dict[str, Any]:
-        """Returns everything that a step can change, as tensors, for `set_extra_state`."""
+        """Returns everything that a step can change, as tensors, for `set_extra_state`, see `SoftRobotEnv`."""
         return self.worlds.get_extra_state()
 
     def set_extra_state(self, state: dict[str, Any]) -> None:

@@ -13,6 +13,7 @@ from evogymcm._messages import brief, some
 from evogymcm.envs.core import TaskEngine
 from evogymcm.envs.designs import BodySpec
 from evogymcm.envs.render import Renderer
+from evogymcm.envs.streams import BodySource
 from evogymcm.envs.task import Task
 from evogymcm.envs.voxels import N_FEATURES, N_SIDES, N_TYPES
 from evogymcm.sim.constants import ACTUATION_HIGH, ACTUATION_LOW, STIFFNESS_HIGH, STIFFNESS_LOW, Physics
@@ -34,7 +35,7 @@ class SoftRobotEnv(EnvBase):
     | `"types"` | [N, V, 5] uint8 | type codes of each voxel and of its neighbours above, right, below, left; 0: none |
     | `"occupancy"`, `"actuators"` | [N, V] bool | which cells hold a voxel, an actuator |
     | `"task"` | [N, G] | COM velocity, sine and cosine of the orientation, the task's own global observations |
-    | `"observation"` | [N, D] float64 | EvoGym's flat observation, where all bodies are equal |
+    | `"observation"` | [N, D] float64 | EvoGym's flat observation, where all bodies are and stay equal |
     | `"com"` | [N, 2] float64 | centre of mass, metres |
     | `"score"`, `"return"` | [N, 1] float64 | sums of the episode's rewards, without and with the last |
     | `"unstable"` | [N, 1] bool | whether the simulation broke down in this step |
@@ -42,15 +43,18 @@ class SoftRobotEnv(EnvBase):
 
     Args:
         task: A task or its id.
-        bodies: A body or a list of bodies; dealt to the worlds in turn.
-        num_worlds: N; as many as bodies by default.
+        bodies: A body or a list of bodies; dealt to the worlds in turn. Or a stream, of which a world gets the next
+            body at each reset: `draw(rng)` or an iterator, see `TaskEngine`.
+        num_worlds: N; as many as bodies by default, 1 under a stream.
         material: "invariant" or "reactive".
         stiffness: Invariant only: a field in [0.5, 2] of the body's shape, or one for each body; None is 1 everywhere.
         edge_rule: How stiffness acts on shared edges: "mean_factor" or "mean_stiffness".
-        seed: For tasks with random resets.
+        seed: For tasks with random resets and for streams.
         num_threads: Threads of the simulator; all cores by default.
         device: Where tensors go; the simulator runs on the CPU.
         physics: Constants; the benchmark's by default.
+        grid_shape: (rows, columns) of the padded grid; the smallest that holds all bodies by default. Needed under a
+            stream.
 
     Raises:
         ValueError: For bad arguments, as `TaskEngine`; in a step for an action that is not made of these keys, or has
@@ -62,7 +66,7 @@ class SoftRobotEnv(EnvBase):
     def __init__(
         self,
         task: str | Task,
-        bodies: BodySpec | Sequence[BodySpec],
+        bodies: BodySpec | Sequence[BodySpec] | BodySource,
         num_worlds: int | None = None,
         *,
         material: str = "invariant",
@@ -72,6 +76,7 @@ class SoftRobotEnv(EnvBase):
         num_threads: int | None = None,
         device: torch.device | str | None = None,
         physics: Physics | None = None,
+        grid_shape: tuple[int, int] | None = None,
     ) -> None:
         engine = TaskEngine(
             task,
@@ -82,6 +87,8 @@ class SoftRobotEnv(EnvBase):
             edge_rule=edge_rule,
             physics=physics,
             num_threads=num_threads,
+            seed=seed,
+            grid_shape=grid_shape,
         )
         super().__init__(device=device, batch_size=[engine.num_worlds])
         self.engine = engine
@@ -133,8 +140,13 @@ class SoftRobotEnv(EnvBase):
 
     @property
     def num_designs(self) -> int:
-        """How many bodies were given; world w holds number w modulo this."""
+        """How many bodies were given; world w holds number w modulo this. N under a stream."""
         return self.engine.num_designs
+
+    @property
+    def changes_bodies(self) -> bool:
+        """Whether bodies come from a stream: worlds get another one when they are reset."""
+        return self.engine.changes_bodies
 
     @property
     def grid_shape(self) -> tuple[int, int]:
@@ -154,7 +166,7 @@ class SoftRobotEnv(EnvBase):
     def _observations(self) -> dict[str, np.ndarray]:
         """Returns the observations in fresh memory: the engine makes new voxels in every step."""
         engine = self.engine
-        values = {
+        values: dict[str, np.ndarray] = {
             "voxels": engine.voxels,
             "types": engine.types.copy(),
             "occupancy": engine.occupancy.copy(),
@@ -225,7 +237,11 @@ class SoftRobotEnv(EnvBase):
         super().close(raise_if_closed=raise_if_closed)
 
     def get_extra_state(self) -> dict[str, Any]:
-        """Returns everything that a step can change, as tensors, for `set_extra_state`."""
+        """Returns everything that a step can change, as tensors, for `set_extra_state`.
+
+        Raises:
+            ValueError: Bodies come from an iterator, whose place cannot be saved.
+        """
         return to_tensors(self.engine.state())
 
     def set_extra_state(self, state: dict[str, Any]) -> None:

@@ -74,6 +74,7 @@ def test_evaluations_of_random_tasks_have_several_worlds_with_draws_of_their_own
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("small_batches_pay")
 def test_threads_of_the_simulator_change_nothing():
     config = PPOConfig(total_steps=1024, num_worlds=32, rollout_steps=16, minibatch=256, hidden=16, eval_interval=0)
     runs = [train(functools.partial(make_short, num_threads=threads), config) for threads in (1, 3)]

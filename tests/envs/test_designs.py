@@ -43,7 +43,6 @@ def test_rows_are_one_body_to_every_environment(rows):
         [["HHH", "V.V"], ["HH", "VV"]],
         ["333\n404", BLOCK],
         (LEGS.grid, BLOCK.grid.tolist()),
-        iter([LEGS, BLOCK]),
         [torch.tensor(LEGS.grid), "HH/VV"],
     ],
 )
@@ -69,6 +68,8 @@ def test_one_row_is_a_body_beside_others():
         ([3, 3], "shape"),
         ([[3, 3], [3]], "equally long rows"),
         ([LEGS, 3], "shape"),
+        (iter([LEGS, BLOCK]), "a stream, which .* take; a list is needed here"),
+        (lambda rng: LEGS, "a stream, which .* take; a list is needed here"),
     ],
 )
 def test_what_is_no_body_is_refused(bodies, message):

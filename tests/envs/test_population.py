@@ -96,6 +96,7 @@ def test_flat_observation_where_bodies_are_equal():
     assert ("bodies", "observation") not in make_env().reset().keys(True)
 
 
+@pytest.mark.usefixtures("small_batches_pay")
 def test_a_mixed_population_equals_single_worlds():
     rng = np.random.default_rng(0)
     bodies = [cm.sample_body(tuple(rng.integers(2, 6, 2)), rng) for _ in range(64)]
