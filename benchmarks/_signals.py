@@ -10,9 +10,9 @@ import numpy as np
 import torch
 
 from evogymcm import Body
+from evogymcm._files import write_atomic
 from evogymcm.algos import load_actor
 from evogymcm.algos.recording import record_episode
-from evogymcm.algos.runs import write_atomic
 from evogymcm.algos.signals import Signals, VoxelSignals, analyse_signals
 from evogymcm.envs import SoftRobotEnv
 

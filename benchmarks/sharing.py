@@ -26,8 +26,8 @@ from _sharing import ARMS, ORDER, Experiment, Scores
 from _text import markdown
 from run_suite import run_all
 
+from evogymcm._files import write_atomic
 from evogymcm.algos import RunFolder
-from evogymcm.algos.runs import write_atomic
 
 COMPARED = (  # on the same bodies
     ("seen", "shared", "independent"),

@@ -9,13 +9,21 @@ from types import MappingProxyType, ModuleType
 from typing import Any
 
 from evogymcm import __version__
-from evogymcm.commands import codesign, report, tasks, train, warmup, watch
+from evogymcm.commands import codesign, report, selfcheck, tasks, train, warmup, watch
 from evogymcm.commands._completion import SHELLS, print_completion
 from evogymcm.commands._errors import UsageError
 from evogymcm.commands._options import INTERRUPTED
 
 _COMMANDS: MappingProxyType[str, ModuleType] = MappingProxyType(
-    {"warmup": warmup, "tasks": tasks, "watch": watch, "train": train, "codesign": codesign, "report": report}
+    {
+        "warmup": warmup,
+        "selfcheck": selfcheck,
+        "tasks": tasks,
+        "watch": watch,
+        "train": train,
+        "codesign": codesign,
+        "report": report,
+    }
 )
 _BROKEN_PIPE = 141  # exit status, as shells have it
 _EXAMPLES = """examples:

@@ -1,4 +1,4 @@
-"""A check of tasks, for their authors' tests."""
+"""Checks: of tasks, for their authors' tests, and of this machine's bits."""
 
 import pickle
 import random
@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from evogymcm.envs._selfcheck import Part, SelfCheck, selfcheck
 from evogymcm.envs.core import TaskEngine
 from evogymcm.envs.designs import BodySpec
 from evogymcm.envs.task import Task
@@ -97,4 +98,4 @@ def _check_finite(task: Task, engine: TaskEngine, step: int) -> None:
             raise ValueError(f"task {task.id!r}: {name!r} is {value.tolist()} in env-step {step + 1}, not finite")
 
 
-__all__ = ["check_task"]
+__all__ = ["Part", "SelfCheck", "check_task", "selfcheck"]

@@ -3,7 +3,6 @@
 import errno
 import json
 import math
-import os
 import shutil
 import signal
 import threading
@@ -17,20 +16,13 @@ from typing import Any
 import torch
 from filelock import FileLock, Timeout
 
-__all__ = ["RunFolder", "RunInUseError", "stop_on_interrupt", "write_atomic"]
+from evogymcm._files import write_atomic
+
+__all__ = ["RunFolder", "RunInUseError", "stop_on_interrupt"]
 
 _CONFIG, _TABLE, _LOCK = "config.json", "curve.jsonl", ".lock"
 _CANNOT_LOCK = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP)  # of some network file systems
 _SAME_PRESS = 0.5  # seconds; launchers may pass one Ctrl-C on twice
-
-
-def write_atomic(path: Path, write: Callable[[Path], object]) -> None:
-    """Lets `write` make a file and puts it at `path` in one step: readers see the old file or the new one, whole."""
-    part = path.with_name(f".{path.name}.part")
-    write(part)
-    with part.open("rb+") as file:
-        os.fsync(file.fileno())
-    part.replace(path)
 
 
 def _plain(value: Any) -> Any:

@@ -53,7 +53,7 @@ def prepare(runs: Sequence[Path], out: Path, *, overwrite: bool) -> list[Source]
 
 def write_page(sources: Sequence[Source], out: Path, *, animations: bool) -> None:
     """Writes the report on what has been read, in one step."""
-    from evogymcm.algos.runs import write_atomic
+    from evogymcm._files import write_atomic
 
     page = _page(sources, animations=animations)
     write_atomic(out, lambda part: part.write_text(page, encoding="utf-8"))

@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 import torch
 
+from evogymcm._files import write_atomic
 from evogymcm.algos import RunFolder, RunInUseError, stop_on_interrupt, train
-from evogymcm.algos.runs import write_atomic
 from tests.algos.test_training import TINY
 from tests.algos.toy_env import ToyEnv
 

@@ -71,10 +71,14 @@ def as_task(spec: str | os.PathLike[str] | Task) -> Task:
     )
 
 
-_OWN: set[str] = set()
-for _module in _MODULES:
-    for _task in _module.TASKS:
-        register_task(_task)
-        _OWN.add(_task.id)
+def own_tasks() -> dict[str, Task]:
+    """Returns the package's own tasks by id."""
+    return {task.id: task for module in _MODULES for task in module.TASKS}
 
-__all__ = ["Task", "as_task", "register_task", "tasks"]
+
+_OWN: set[str] = set()
+for _task in own_tasks().values():
+    register_task(_task)
+    _OWN.add(_task.id)
+
+__all__ = ["Task", "as_task", "own_tasks", "register_task", "tasks"]
