@@ -103,14 +103,17 @@ def cases(options: Options) -> list[Case]:
         counts = ((64, 1), (256, 1), (256, 2))
         many = [w for n, threads in counts for w in workloads(replace(walker, worlds=n, threads=threads))]
         return [Case(w, door, with_simulator=True) for w in many for door in DOORS if door != "simulator"]
+    population = replace(plain, tasks=("Walker-v0", "CaveCrawler-v0", "BridgeWalker-v0"), bodies=64)
     compared = (
         (plain, "core"),
+        (population, "core"),
         (replace(walker, body_size=10), "core"),
         (replace(walker, bodies=64, worlds=256, material="reactive"), "core"),  # EvoGym itself has no stiffness
         (replace(walker, worlds=1), "gymnasium"),
     )
     rows = [Case(w, door, with_evogym=True) for chosen, door in compared for w in workloads(chosen)]
-    return rows + [Case(w, with_one_thread=True) for w in workloads(replace(walker, worlds=256, threads=2))]
+    two_threads = replace(walker, bodies=256, worlds=256, threads=2)
+    return rows + [Case(w, with_one_thread=True) for w in workloads(two_threads)]
 
 
 def in_turn(runners: Sequence[Runner], pairs: int, seconds: float) -> list[list[float]]:

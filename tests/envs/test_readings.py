@@ -5,9 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from evogymcm.sim.lanes import N_LANES
-from evogymcm.sim.readings import N_SUMS, new_readings, read_object, read_window
-from evogymcm.sim.springs import VX, VY, X, Y
+from evogymcm.sim.readings import CENTRE, N_NUMBERS, N_SCRATCH, new_readings, read_object, read_window
 from tests.envs.tools import (
     PAPER_ROBOTS,
     TALL,
@@ -18,43 +16,52 @@ from tests.envs.tools import (
     slow_window,
     step_randomly,
 )
+from tests.sim.tools import in_air, simulator
 
-LANE_3 = np.where(np.arange(N_LANES) == 3, 0, -1)  # one world, in a lane that is not the first
-
-
-def as_state(xy, velocity=None):
-    """A block's points with (2, n) positions in lane 3 and nonsense elsewhere."""
-    points = np.full((20, xy.shape[1], N_LANES), 1e9)
-    points[[X, Y], :, 3] = xy
-    points[[VX, VY], :, 3] = 0.0 if velocity is None else velocity
-    return points
+NOTHING = np.zeros((2, 0))
+WORLD = 1  # the one that is read; the robots of its neighbours are far out
+L, T, CROSS = "H./HH", ".H./HHH", ".H./HHH/.H."
+LINE = "HHHHH"  # enough points for what is not to look like a body at all
 
 
-def read(was, now, velocity=None):
-    n = was.shape[1]
-    readings, hull, sums = new_readings(1, n), np.zeros((2, 2 * n + 2), np.int64), np.zeros((N_SUMS, 1, N_LANES))
-    read_object(
-        as_state(now, velocity),
-        LANE_3,
-        np.arange(n),
-        was.T.copy(),
-        True,
-        hull,
-        sums,
-        readings.numbers,
-        readings.relative,
-    )
-    return readings
+def set_robots(text, now, velocity=None):
+    """A simulator whose robots, made from `text` at the origin, have their first points at (2, n) positions."""
+    sim = simulator(*[in_air(text, (0, 0))] * 3)
+    for world in range(3):
+        xy, v = sim.points(world), sim.velocities(world=world)
+        xy[:] = 1e9 if world != WORLD else now
+        if velocity is not None:
+            v[:] = velocity
+        sim.set_points(xy, v, xy, world)
+    return sim
 
 
-def window(terrain, com, radius=5, is_ceiling=False, moving=None):
+def at_reset(text):
+    """(2, n) positions of a robot at the origin."""
+    return simulator(in_air(text, (0, 0))).positions()
+
+
+def read(text, now, velocity=None):
+    sim, n = set_robots(text, now, velocity), now.shape[1]
+    readings = new_readings(3, n)
+    read_object(sim.storage, np.array([WORLD]), 0, True, np.zeros(N_SCRATCH * (n + 2)), *readings)
+    others = np.delete(readings.numbers, WORLD, 0), np.delete(readings.relative, WORLD, 0)
+    assert not any(values.any() for values in others)
+    return type(readings)(readings.numbers[[WORLD]], readings.relative[[WORLD]])
+
+
+def window(terrain, com, radius=5, is_ceiling=False, moving=NOTHING):
+    """A window over fixed and moving points, (2, n) metres."""
     fixed = np.ascontiguousarray((terrain / 0.1).T)
     fixed = fixed[np.argsort(fixed[:, 0], kind="stable")]
-    points = as_state(np.zeros((2, 0)) if moving is None else moving)
-    out = np.full((1, 2 * radius + 1), np.nan)
-    numbers = np.arange(points.shape[1])
-    read_window(points, LANE_3, fixed, numbers, np.array([com]), radius, is_ceiling, out)
-    return out[0]
+    n = moving.shape[1]
+    sim = set_robots("H" * max(n // 2 - 1, 1), moving if n else 0.0)
+    out, numbers = np.full((3, 2 * radius + 1), np.nan), np.zeros((3, N_NUMBERS))
+    numbers[WORLD, CENTRE : CENTRE + 2] = np.array(com) / 0.1
+    places = sim.object("robot", WORLD).places[:n]
+    read_window(sim.storage, np.array([WORLD]), fixed, places, numbers, radius, is_ceiling, out)
+    assert np.isnan(np.delete(out, WORLD, 0)).all()
+    return out[WORLD]
 
 
 def lattice(cells):
@@ -63,72 +70,67 @@ def lattice(cells):
     return np.array(sorted(corners), float).T * 0.1
 
 
-SHAPES = [  # cells, area of the convex hull in square voxels
-    ([(0, 0)], 1.0),
-    ([(x, y) for x in range(3) for y in range(2)], 6.0),
-    ([(0, 0), (1, 0), (0, 1)], 3.5),  # an L
-    ([(0, 0), (1, 0), (2, 0), (1, 1)], 5.0),  # an upside-down T
-    ([(1, 0), (0, 1), (1, 1), (2, 1), (1, 2)], 7.0),  # a cross
-]
+# Robots, and the areas of their convex hulls in square voxels.
+SHAPES = [("H", 1.0), ("HHH/HHH", 6.0), (L, 3.5), (T, 5.0), (CROSS, 7.0)]
 
 
-@pytest.mark.parametrize(("cells", "area"), SHAPES)
-def test_hull_area_of_known_shapes(cells, area):
-    xy = lattice(cells)
+@pytest.mark.parametrize(("text", "area"), SHAPES)
+def test_hull_area_of_known_shapes(text, area):
+    xy = at_reset(text)
     for angle in (0.0, 0.4, 2.0):
         turned = rotation(angle) @ xy + [[3.0], [1.0]]
-        np.testing.assert_allclose(read(xy, turned).hull_area, 0.01 * area, rtol=1e-12)
+        np.testing.assert_allclose(read(text, turned).hull_area, 0.01 * area, rtol=1e-12)
 
 
 def test_hull_area_against_slow_twin():
     rng = np.random.default_rng(0)
-    for n in (3, 4, 9, 20):
-        xy = rng.normal(size=(2, n))
-        np.testing.assert_allclose(read(xy, xy).hull_area, slow_hull_area(xy), rtol=1e-12)
-    xy = np.repeat(lattice(SHAPES[2][0]), 2, axis=1)  # coincident points
-    np.testing.assert_allclose(read(xy, xy).hull_area, 0.035, rtol=1e-12)
-    line = np.array([[0.0, 0.1, 0.3], [0.0, 0.1, 0.3]])
-    np.testing.assert_allclose(read(line, line).hull_area, 0.0, atol=1e-15)
+    for text in ("H", L, "HHH/HHH", LINE):
+        xy = rng.normal(size=at_reset(text).shape)
+        np.testing.assert_allclose(read(text, xy).hull_area, slow_hull_area(xy), rtol=1e-12)
+    xy = np.repeat(at_reset("HH"), 2, axis=1)  # coincident points
+    np.testing.assert_allclose(read(LINE, xy).hull_area, 0.02, rtol=1e-12)
+    line = np.repeat([[0.0, 0.1, 0.3, 0.35]], 2, axis=0)
+    np.testing.assert_allclose(read("H", line).hull_area, 0.0, atol=1e-15)
 
 
 def test_centre_velocity_and_span():
     rng = np.random.default_rng(1)
     xy, velocity = rng.normal(size=(2, 2, 12))
-    readings = read(xy, xy, velocity)
+    readings = read(LINE, xy, velocity)
     np.testing.assert_allclose(readings.com[0], xy.mean(1), rtol=0, atol=1e-15)
     np.testing.assert_allclose(readings.velocity[0], velocity.mean(1), rtol=0, atol=1e-15)
     np.testing.assert_allclose(readings.relative[0], xy - xy.mean(1, keepdims=True), rtol=0, atol=1e-15)
-    np.testing.assert_array_equal(readings.low[0], xy.min(1))
-    np.testing.assert_array_equal(readings.high[0], xy.max(1))
+    # As EvoGym's Python layer: it takes coordinates in voxels from the simulator, and makes metres of them.
+    np.testing.assert_array_equal(readings.low[0], (xy / 0.1 * 0.1).min(1))
+    np.testing.assert_array_equal(readings.high[0], (xy / 0.1 * 0.1).max(1))
 
 
 @pytest.mark.parametrize("angle", [0.3, 1.0, math.pi / 2, 2.5, 3.1, 3.2, 4.0, 5.5, 6.2])
 def test_orientation_of_a_rigid_turn_is_its_angle(angle):
-    was = lattice(SHAPES[2][0])
+    was = at_reset(L)
     now = rotation(angle) @ was + [[5.0], [2.0]]
-    got = read(was, now).orientation[0]
+    got = read(L, now).orientation[0]
     np.testing.assert_allclose(got, angle, rtol=0, atol=2e-7)  # EvoGym's pi has eight digits
     np.testing.assert_allclose(got, slow_orientation(was, now), rtol=0, atol=1e-9)
 
 
 def test_orientation_against_slow_twin():
     rng = np.random.default_rng(2)
-    was = lattice(SHAPES[3][0])
+    was = at_reset(T)
     for angle in np.linspace(0.1, 6.1, 9):
         now = rotation(angle) @ was + rng.normal(scale=0.02, size=was.shape)
-        np.testing.assert_allclose(read(was, now).orientation[0], slow_orientation(was, now), rtol=0, atol=1e-9)
+        np.testing.assert_allclose(read(T, now).orientation[0], slow_orientation(was, now), rtol=0, atol=1e-9)
 
 
 def test_orientation_at_reset_is_small():
     # Cosines that round to more than 1 count as 0.99999, which is 0.0045: so it is in EvoGym.
-    was = lattice(SHAPES[4][0])
-    assert 0.0 <= read(was, was).orientation[0] <= 0.0045
+    assert 0.0 <= read(CROSS, at_reset(CROSS)).orientation[0] <= 0.0045
 
 
 def test_orientation_with_a_point_at_the_centre():
-    was = np.array([[0.0, 1.0, -1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0, -1.0]])
-    now = rotation(1.0) @ was
-    np.testing.assert_allclose(read(was, now).orientation[0], 1.0, rtol=0, atol=1e-12)
+    was = at_reset("HH/HH") - 0.1
+    assert np.abs(was).max(0).min() < 1e-15
+    np.testing.assert_allclose(read("HH/HH", rotation(1.0) @ was).orientation[0], 1.0, rtol=0, atol=1e-12)
 
 
 def test_window_of_flat_ground():
@@ -188,11 +190,9 @@ def test_flat_observation_against_slow_twins(task, body):
 
 
 def test_orientation_to_the_last_digits():
-    rng = np.random.default_rng(3)
-    was = rng.normal(size=(2, 8))
-    was -= was.mean(1, keepdims=True)
+    was = at_reset("HHH")
     for angle in np.concatenate([np.linspace(1e-3, math.pi - 1e-3, 40), [1.0471975, 1.0471976, 2.0943951, 2.0943952]]):
-        got = read(was, rotation(angle) @ was).orientation[0]
+        got = read("HHH", rotation(angle) @ was).orientation[0]
         cosine = np.clip(np.cos(angle), -1, 1)
         # What the cosine's own rounding leaves, a few units in the last place otherwise.
         assert abs(got - angle) <= 4e-16 / math.sqrt(1 - cosine**2) + 1e-15

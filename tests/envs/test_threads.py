@@ -12,12 +12,13 @@ import pytest
 from evogymcm.envs import SoftRobotEnv, parallel_env, population_env
 from tests.envs.tools import SMALL, WIDE, assert_same, make_engine, outputs, step_randomly
 
+MANY = 60  # worlds, which pay for two threads
 FORK = """
 import multiprocessing, sys
 import numpy as np
 from evogymcm.envs import TaskEngine
 
-engine = TaskEngine("Walker-v0", ["HVH/S.R", "RHSV/H..H"], 20, num_threads=2)
+engine = TaskEngine("Walker-v0", ["HVH/S.R", "RHSV/H..H"], 60, num_threads=2)
 
 def returns(action):
     engine.step(np.full(engine.occupancy.shape, action))
@@ -45,7 +46,7 @@ def workers():
 
 
 def test_closing_an_engine_ends_its_threads_and_a_step_starts_them_again():
-    engine, other = (make_engine("Walker-v0", [SMALL, WIDE], num_threads=2) for _ in range(2))
+    engine, other = (make_engine("Walker-v0", [SMALL, WIDE], MANY, num_threads=2) for _ in range(2))
     before = len(workers())
     step_randomly(engine, 2)
     assert len(workers()) == before + 1
@@ -63,10 +64,10 @@ def test_closing_an_engine_ends_its_threads_and_a_step_starts_them_again():
 
 
 ENVIRONMENTS = {
-    "vector": lambda: gymnasium.make_vec("evogymcm/Walker-v0", num_envs=9, body=SMALL, num_threads=2),
-    "SoftRobotEnv": lambda: SoftRobotEnv("Walker-v0", [SMALL, WIDE], num_threads=2),
-    "population_env": lambda: population_env("Walker-v0", [SMALL, WIDE], num_threads=2),
-    "parallel_env": lambda: parallel_env("Walker-v0", [SMALL, WIDE], num_threads=2),
+    "vector": lambda: gymnasium.make_vec("evogymcm/Walker-v0", num_envs=MANY, body=SMALL, num_threads=2),
+    "SoftRobotEnv": lambda: SoftRobotEnv("Walker-v0", [SMALL, WIDE], MANY, num_threads=2),
+    "population_env": lambda: population_env("Walker-v0", [SMALL] * MANY, num_threads=2),
+    "parallel_env": lambda: parallel_env("Walker-v0", [SMALL] * MANY, num_threads=2),
 }
 
 

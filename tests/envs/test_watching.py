@@ -64,10 +64,11 @@ def test_objects_of_every_kind_are_read_as_in_evogym(case):
             np.testing.assert_allclose(readings.velocity[world], expected["vel"], rtol=0, atol=1e-9, err_msg=name)
             turned = (readings.orientation[world] - expected["ort"] + math.pi) % (2 * math.pi) - math.pi
             assert abs(turned) < 0.005, name  # a cosine that rounds to more than 1 counts as 0.0045
-            points = engine.simulator.positions(name, world)
-            np.testing.assert_array_equal(readings.low[world], points.min(1))
-            np.testing.assert_array_equal(readings.high[world], points.max(1))
-            np.testing.assert_array_equal(readings.relative[world], points - readings.com[world][:, None])
+            points = engine.simulator.positions(name, world) / 0.1  # as EvoGym's Python layer gets them
+            np.testing.assert_array_equal(readings.low[world], (points * 0.1).min(1))
+            np.testing.assert_array_equal(readings.high[world], (points * 0.1).max(1))
+            center = points.cumsum(1)[:, -1:] / points.shape[1]  # one by one
+            np.testing.assert_array_equal(readings.relative[world], (points - center) * 0.1)
         action = np.ones((2, 6))
         action[:, engine.actuators[0]] = rng.uniform(0.6, 1.6, 3)
         engine.step(action)

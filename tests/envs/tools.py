@@ -6,7 +6,6 @@ import math
 import numpy as np
 
 from evogymcm.envs.core import TaskEngine
-from evogymcm.sim.springs import OLD_X, OLD_Y, X, Y
 
 PAPER_TASKS = (
     "Walker-v0",
@@ -58,13 +57,13 @@ def move(engine, x=0.0, y=0.0, world=0):
 
 def turn(engine, angle, world=0):
     """Turns a robot counter-clockwise about its COM, and lets the engine read it anew."""
-    block_index, lane = engine.simulator.lane_of[world]
-    points = engine.simulator.blocks[block_index].state.points
-    n = engine.simulator.positions("robot", world).shape[1]
-    for row in ((X, Y), (OLD_X, OLD_Y)):
-        xy = points[row[0] : row[1] + 1, :n, lane]
-        center = xy.mean(1, keepdims=True)
-        points[row[0] : row[1] + 1, :n, lane] = rotation(angle) @ (xy - center) + center
+    simulator = engine.simulator
+    xy = simulator.points(world)
+    n = simulator.positions("robot", world).shape[1]
+    center = xy[:, :n].mean(1, keepdims=True)
+    xy[:, :n] = rotation(angle) @ (xy[:, :n] - center) + center
+    velocities = [simulator.velocities(placed.name, world) for placed in simulator.objects(world)]
+    simulator.set_points(xy, np.concatenate(velocities, axis=1), xy, world)
     engine.refresh()
 
 
