@@ -329,8 +329,15 @@ class Simulator:
         return [self._offsets.copy(), *rows]
 
     def set_state(self, state: Sequence[np.ndarray]) -> None:
-        """Takes up the state that `state` returned, of a simulator made with the same arguments."""
+        """Takes up the state that `state` returned, of a simulator made with the same arguments.
+
+        Raises:
+            ValueError: It is another simulator's, or of a release that kept states otherwise; then nothing has changed.
+        """
         offsets, *rows = state
+        sizes = [self._points(world).size + self._springs(world).size for world in range(self.n_worlds)]
+        if np.shape(offsets) != self._offsets.shape or [np.size(row) for row in rows] != sizes:
+            raise ValueError(f"state: it is not of {self.n_worlds} such worlds, or of a release that kept it otherwise")
         for world, row in enumerate(rows):
             self._place(world, offsets[world])
             self._state[world, : len(row)] = row

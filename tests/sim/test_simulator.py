@@ -279,6 +279,9 @@ def test_errors():
         sim.positions("moon")
     with pytest.raises(ValueError, match="'ground' has fixed voxels"):
         sim.move("ground", (1.0, 0.0), 0)
+    for other in ([np.zeros(10)], simulator(placed("HH")).state(), simulator(objects, objects).state()):
+        with pytest.raises(ValueError, match="state: it is not of 1 such worlds"):
+            sim.set_state(other)
     with pytest.raises(ValueError, match="substep"):
         Physics(substep=0.0)
     with pytest.raises(ValueError, match=r"drag: got nan"):
