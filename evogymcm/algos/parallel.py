@@ -71,6 +71,9 @@ def _call(function: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Any:
     return function(*args, **kwargs)
 
 
+_PATIENCE = 1.0  # seconds
+
+
 class RayExecutor(Executor):
     """Runs calls as tasks of a Ray cluster (extra `evogymcm[ray]`).
 
@@ -114,10 +117,16 @@ class RayExecutor(Executor):
         self._is_shut = True
         pending = dict(self._pending)
         if cancel_futures:
-            for call in pending.values():
-                self._ray.cancel(call)
+            self._cancel(pending)
         if wait:
+            # A call that Ray is just about to begin may miss being cancelled, so that it is told again.
+            while cancel_futures and (left := futures_wait(pending, timeout=_PATIENCE).not_done):
+                self._cancel({future: pending[future] for future in left})
             futures_wait(pending)
             if self._is_ours:
                 self._is_ours = False
                 self._ray.shutdown()
+
+    def _cancel(self, calls: dict[Future, Any]) -> None:
+        for call in calls.values():
+            self._ray.cancel(call)
