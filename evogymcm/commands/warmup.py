@@ -4,7 +4,7 @@ import argparse
 import time
 from typing import Any
 
-_DESCRIPTION = """Compiles the simulator (about 20 s) and keeps it on disk. Without it the first simulation does
+_DESCRIPTION = """Compiles the simulator (about 25 s) and keeps it on disk. Without it the first simulation does
 the same; where the machine code is there already, this takes a moment."""
 
 
