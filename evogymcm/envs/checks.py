@@ -3,7 +3,7 @@
 `evogymcm.testing.check_task` says more of a task, and takes longer.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from operator import index
 from typing import Any
@@ -162,6 +162,16 @@ def checked_mask(mask: Any, n: int) -> np.ndarray:
     if mask.dtype != bool or mask.size != n:
         raise ValueError(f"mask: got {_form(mask)}, expected bool of shape ({n},)")
     return mask.reshape(n)
+
+
+def checked_seeds(seed: int | Sequence[int | None] | None, n: int) -> Sequence[int | None]:
+    """Returns a seed for each world, one number counted up from; ValueError for another number of seeds."""
+    seeds = [None] * n if seed is None else seed
+    if isinstance(seeds, int | np.integer):
+        seeds = [int(seeds) + world for world in range(n)]
+    if len(seeds) != n:
+        raise ValueError(f"seed: got {len(seeds)} seeds, expected one for each of {n} worlds")
+    return seeds
 
 
 def checked_action(name: str, values: Any, used: np.ndarray, low: float, high: float) -> np.ndarray:

@@ -16,13 +16,7 @@ from evogymcm.envs.streams import BodySource, BodyStream, is_source, pack_bodies
 from evogymcm.envs.task import Snapshot, Task
 from evogymcm.envs.tasks import as_task
 from evogymcm.envs.voxels import N_FEATURES, N_SIDES, describe
-from evogymcm.sim.constants import (
-    ACTUATION_HIGH,
-    ACTUATION_LOW,
-    STIFFNESS_HIGH,
-    STIFFNESS_LOW,
-    Physics,
-)
+from evogymcm.sim.constants import ACTUATION_HIGH, ACTUATION_LOW, STIFFNESS_HIGH, STIFFNESS_LOW, Physics
 from evogymcm.sim.simulator import Simulator
 from evogymcm.sim.world import World
 
@@ -349,11 +343,7 @@ class TaskEngine:
 
         None draws from the operating system. Nothing happens before the next reset.
         """
-        seeds = [None] * self.num_worlds if seed is None else seed
-        if isinstance(seeds, int | np.integer):
-            seeds = [int(seeds) + world for world in range(self.num_worlds)]
-        if len(seeds) != self.num_worlds:
-            raise ValueError(f"seed: got {len(seeds)} seeds, expected one for each of {self.num_worlds} worlds")
+        seeds = checks.checked_seeds(seed, self.num_worlds)
         self._rngs = [np.random.default_rng(value) for value in seeds]
         if self._stream is not None:
             self._stream.set_seed(seeds)

@@ -8,7 +8,7 @@ import numpy as np
 from evogymcm.sim._jit import kernel
 from evogymcm.sim.constants import FIXED, MISSING, RIGID
 from evogymcm.sim.object_springs import ObjectSprings, object_springs
-from evogymcm.sim.springs import FIRST_FORCE, NO_FORCE
+from evogymcm.sim.springs import FIRST_FORCE, NO_FORCE, slot_of
 from evogymcm.sim.tables import Layout
 from evogymcm.sim.topology import Topology, topology
 from evogymcm.sim.trees import Tree, build_tree
@@ -85,9 +85,7 @@ def _fill_sums(
             counts[j, p] = 0
         for s in range(n_springs):
             p = (ends[s, j] >> 1) - first_point
-            spring = first_spring + s
-            slot = (spring & ~7) | ((spring & 1) << 2) | ((spring >> 1) & 3)
-            pulls[groups[2 * (p // 4) + j] + 4 * counts[j, p] + p % 4] = FIRST_FORCE + 2 * slot
+            pulls[groups[2 * (p // 4) + j] + 4 * counts[j, p] + p % 4] = FIRST_FORCE + 2 * slot_of(first_spring + s)
             counts[j, p] += 1
     return end
 

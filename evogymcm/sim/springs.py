@@ -231,7 +231,7 @@ def limit_lengths(tables: SpringTables, state: SpringState, scratch: SpringScrat
                     n += 1
     for second in range(2):
         for i in range(n):
-            slot = _slot(beyond[i])
+            slot = slot_of(beyond[i])
             p = ends[2 * (beyond[i] & ~7) + 8 * second + (slot & 7)]
             if _is_free(tables.free, p):
                 move = load_pair(force, FIRST_FORCE + 2 * slot)
@@ -239,7 +239,7 @@ def limit_lengths(tables: SpringTables, state: SpringState, scratch: SpringScrat
 
 
 @inlined
-def _slot(spring: int) -> int:
+def slot_of(spring: int) -> int:
     """Returns where in memory a spring's pair is; see `vectors.LANE_SLOTS`."""
     return (spring & ~7) | ((spring & 1) << 2) | ((spring >> 1) & 3)
 

@@ -10,12 +10,12 @@ import pytest
 from evogymcm._grid import full_connections
 from evogymcm.body import sample_body
 from evogymcm.sim.constants import DIAGONAL_CONSTANT, EDGE_CONSTANT, H_ACT, MISSING, RIGID, SOFT, V_ACT
-from evogymcm.sim.object_springs import object_springs, pulls
+from evogymcm.sim.object_springs import object_springs
 from evogymcm.sim.scene import EDGE_RULES
 from evogymcm.sim.topology import CACHED, topology
 from evogymcm.sim.world import World
 from tests.sim.tools import grid_of
-from tests.sim.topology_twin import slow_points, slow_pulls, slow_springs, slow_topology
+from tests.sim.topology_twin import slow_points, slow_springs, slow_topology
 
 
 def build(text, connections=None):
@@ -204,17 +204,13 @@ def test_topologies_and_springs_are_their_slow_twins():
             assert set(springs._fields) == set(wanted)
             for name, values in wanted.items():
                 assert_same(getattr(springs, name), values.astype(np.int32) if values.dtype == np.int64 else values)
-        for found, values in zip(pulls(springs.ends, t.n_points), slow_pulls(springs.ends, t.n_points), strict=True):
-            assert_same(found, values)
         assert all(a.flags.c_contiguous and not a.flags.writeable for a in (*arrays.values(), *springs))
 
 
-def test_what_is_no_voxel_or_point_is_refused():
+def test_what_is_no_voxel_is_refused():
     for code in (-1, 6):
         with pytest.raises(ValueError, match=rf"cell codes .*{code}.* allowed are 0 to 5"):
             topology(np.array([[3, code]]))
-    with pytest.raises(ValueError, match="ends: got 0 to 7, the points are 0 to 6"):
-        pulls(np.array([[0, 7]], np.int32), 7)
 
 
 def test_a_long_stream_of_bodies_is_not_kept_in_memory():

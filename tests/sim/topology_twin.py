@@ -151,12 +151,3 @@ def slow_springs(t, edge_rule, with_fixed):
     numbers = np.cumsum(keep) - 1  # old spring number -> new one
     rigid = t.sides[t.codes == RIGID].reshape(-1)
     return {key: value[keep] for key, value in result.items()} | {"rigid": numbers[rigid]}
-
-
-def slow_pulls(ends, n_points):
-    """`pulls`, by a stable sort."""
-    points, springs = ends.T.ravel(), np.tile(np.arange(len(ends)), 2)
-    order = np.argsort(points, kind="stable")
-    start = np.searchsorted(points[order], np.arange(n_points + 1))
-    turn = start[:-1] + np.bincount(ends[:, 0], minlength=n_points)
-    return start.astype(np.int32), springs[order].astype(np.int32), turn.astype(np.int32)
