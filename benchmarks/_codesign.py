@@ -9,8 +9,7 @@ import numpy as np
 from _suite import PAPER
 
 from evogymcm.algos import BodyPPOConfig, RunFolder
-from evogymcm.algos.codesign import CodesignConfig, SearchConfig, codesign
-from evogymcm.algos.codesign_cost import cost_of
+from evogymcm.algos.codesign import CodesignConfig, SearchConfig, codesign, cost_of
 
 EXPERIMENTS: Mapping[str, tuple[str, str]] = {"B": ("fixed", "reactive"), "C": ("prescribed", "invariant")}
 PUBLISHED_BODIES = 100  # trained in all by published runs of EvoGym's genetic algorithm

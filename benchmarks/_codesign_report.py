@@ -137,7 +137,7 @@ def draw_designs(runs: Sequence[Mapping[str, Any]], path: Path) -> None:
     from matplotlib.patches import Rectangle
 
     from evogymcm import Body
-    from evogymcm.envs import _palette as palette
+    from evogymcm.envs.render import palette
 
     shown = sorted((run for run in runs if run["best"]), key=lambda run: (run["task"], run["arm"], run["seed"]))
     if not shown:

@@ -17,8 +17,7 @@ import gymnasium
 import numpy as np
 
 from evogymcm.body import Body
-from evogymcm.envs.core import TaskEngine
-from evogymcm.envs.tasks import as_task
+from evogymcm.envs import TaskEngine, as_task
 from evogymcm.sim.simulator import Simulator
 from evogymcm.sim.world import ROBOT, World, WorldObject
 

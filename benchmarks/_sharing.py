@@ -10,11 +10,10 @@ import torch
 
 from evogymcm import Body, sample_body
 from evogymcm.algos import BodyPPOConfig, PPOConfig, RunFolder, make_actor
-from evogymcm.algos.designs import Design
-from evogymcm.algos.generation import Arena, Policy, Trained, train_designs
-from evogymcm.algos.scoring import score_alone
-from evogymcm.algos.threads import limited_threads
-from evogymcm.envs.tasks import as_task
+from evogymcm.algos.codesign import Arena, Design, score_alone, train_designs
+from evogymcm.algos.codesign.inner_loop import Policy, Trained
+from evogymcm.algos.learning.threads import limited_threads
+from evogymcm.envs import as_task
 
 SHAPE = (5, 5)
 ARMS: Mapping[str, tuple[str, str]] = {  # -> policies trained on the seen bodies, and then on the unseen ones

@@ -12,8 +12,7 @@ import torch
 from evogymcm import Body
 from evogymcm._files import write_atomic
 from evogymcm.algos import load_actor
-from evogymcm.algos.recording import record_episode
-from evogymcm.algos.signals import Signals, VoxelSignals, analyse_signals
+from evogymcm.algos.analysis import Signals, VoxelSignals, analyse_signals, record_episode
 from evogymcm.envs import SoftRobotEnv
 
 _ACTUATION, _STIFFNESS = "#0072b2", "#d55e00"

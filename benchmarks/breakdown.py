@@ -16,7 +16,7 @@ from typing import Any
 import numba
 import numpy as np
 
-from evogymcm.envs.core import TaskEngine
+from evogymcm.envs import TaskEngine
 from evogymcm.sim import candidates, contact, springs
 from evogymcm.sim.constants import SUBSTEPS
 from evogymcm.sim.scene import Layout, Terrain

@@ -19,8 +19,7 @@ import numpy as np
 from tqdm import tqdm
 
 from evogymcm.body import Body, full_connections, sample_body
-from evogymcm.envs.core import TaskEngine
-from evogymcm.envs.task import Task, Window
+from evogymcm.envs import Task, TaskEngine, Window
 from evogymcm.envs.tasks import tasks
 from evogymcm.envs.tasks.walking import Walking
 from evogymcm.sim.world import ROBOT, World, WorldObject

@@ -21,8 +21,7 @@ from _record_evogym import digest, draw_actions, library
 from tqdm import tqdm
 
 from evogymcm.body import Body, sample_body
-from evogymcm.envs.core import TaskEngine
-from evogymcm.envs.gymnasium import GymnasiumEnv
+from evogymcm.envs import GymnasiumEnv, TaskEngine
 from evogymcm.envs.tasks import tasks
 from evogymcm.sim.constants import FIXED, RIGID
 from evogymcm.sim.simulator import Simulator

@@ -24,7 +24,7 @@ from _runners import EvoGym, Runner
 from throughput import STANDARD_BODY, in_turn, progress
 
 from evogymcm.algos import PPOConfig, keep_freed_memory
-from evogymcm.algos.trainer import Trainer
+from evogymcm.algos.learning import Trainer
 from evogymcm.body import Body, as_body
 from evogymcm.envs import SoftRobotEnv
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from evogymcm.envs._selfcheck import Part, SelfCheck, selfcheck
 from evogymcm.envs.core import TaskEngine
-from evogymcm.envs.designs import BodySpec
+from evogymcm.envs.dealing import BodySpec
 from evogymcm.envs.task import Task
 from evogymcm.envs.tasks import as_task
 

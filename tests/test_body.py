@@ -22,7 +22,7 @@ from evogymcm.body import (
     sample_body,
 )
 from evogymcm.envs import TaskEngine
-from evogymcm.envs.designs import as_bodies
+from evogymcm.envs.dealing import as_bodies
 from evogymcm.sim.world import World, WorldObject
 
 STANDARD = "HHHHH/HHHHH/HH.HH/VV.VV/VV.VV"

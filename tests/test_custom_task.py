@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import evogymcm as cm
-from evogymcm.envs.core import TaskEngine
+from evogymcm.envs import TaskEngine
 from evogymcm.envs.tasks.walking import Walking
 from evogymcm.sim.constants import Physics
 from tests.registries import own_registries

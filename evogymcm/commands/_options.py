@@ -13,7 +13,7 @@ if TYPE_CHECKING:  # both load torch or numba, which help texts do without
     import numpy as np
     from torchrl.record.loggers import Logger
 
-    from evogymcm.algos.runs import RunFolder
+    from evogymcm.algos.runs.folder import RunFolder
     from evogymcm.body import Body
 
 STANDARD_BODY = "HHHHH/HHHHH/HH.HH/VV.VV/VV.VV"
@@ -117,7 +117,7 @@ def open_run(path: Path, config: dict[str, Any], *, resume: bool, overwrite: boo
         ValueError: It exists and neither flag is given, both are, the settings are not those of the run to resume, or
             another process is at work in it.
     """
-    from evogymcm.algos.runs import RunFolder, RunInUseError
+    from evogymcm.algos.runs.folder import RunFolder, RunInUseError
 
     try:
         folder = RunFolder(path, config, resume=resume, overwrite=overwrite)

@@ -12,7 +12,7 @@ from evogymcm.report.runs import NOT_RECORDED, CodesignRun, TrainingRun, read_ru
 if TYPE_CHECKING:  # numba and torch are loaded when a command runs, not for its help
     import numpy as np
 
-    from evogymcm.algos.designs import Design
+    from evogymcm.algos.codesign.design import Design
     from evogymcm.body import Body
     from evogymcm.envs.core import TaskEngine
 
@@ -93,7 +93,7 @@ def _load(file: Path) -> Mapping[str, Any]:
 
 def _design(row: Mapping[str, Any], config: Mapping[str, Any]) -> "Design":
     """Returns an individual's design as its arm simulates it."""
-    from evogymcm.algos.designs import Design
+    from evogymcm.algos.codesign.design import Design
 
     return Design.from_record(row).in_arm(config["arm"], config["prescribed"])
 
@@ -109,7 +109,7 @@ def control_of(policy: Mapping[str, Any], engine: "TaskEngine") -> "Control":
     from tensordict import TensorDict
 
     from evogymcm.algos import PerDesign, load_actor
-    from evogymcm.algos.threads import exploration
+    from evogymcm.algos.learning.threads import exploration
 
     form, copies = policy["form"], policy["form"].get("copies")
     if form["network"] == "mlp":

@@ -10,8 +10,8 @@ from evogymcm.commands._errors import checking_arguments
 from evogymcm.commands._options import INTERRUPTED, Bar, how_to_resume, open_run, write_stiffness
 
 if TYPE_CHECKING:
-    from evogymcm.algos.codesign import CodesignConfig, CodesignProgress, CodesignResult
-    from evogymcm.algos.runs import RunFolder
+    from evogymcm.algos.codesign.run import CodesignConfig, CodesignProgress, CodesignResult
+    from evogymcm.algos.runs.folder import RunFolder
 
 _DESCRIPTION = """Evolves bodies together with their material and control, and keeps all of it in a run folder.
 
@@ -40,7 +40,7 @@ def options() -> type:
     import tyro
     from tyro.conf import arg
 
-    from evogymcm.algos.codesign import CodesignConfig
+    from evogymcm.algos.codesign.run import CodesignConfig
 
     @dataclass(frozen=True)
     class Settings(CodesignConfig):  # with the task in front, and choices where tyro can name them
@@ -74,7 +74,7 @@ def options() -> type:
 
 def without_choices(settings: Any) -> "CodesignConfig":
     """Returns the settings of the command line as the library has them: equal to those made there."""
-    from evogymcm.algos.codesign import CodesignConfig
+    from evogymcm.algos.codesign.run import CodesignConfig
 
     return CodesignConfig(**{item.name: getattr(settings, item.name) for item in fields(CodesignConfig)})
 
@@ -103,9 +103,9 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _codesign(config: "CodesignConfig", folder: "RunFolder", arguments: Sequence[str]) -> int:
-    from evogymcm.algos.codesign import codesign
-    from evogymcm.algos.codesign_cost import cost_of
-    from evogymcm.algos.memory import keep_freed_memory
+    from evogymcm.algos.codesign.cost import cost_of
+    from evogymcm.algos.codesign.run import codesign
+    from evogymcm.algos.learning.memory import keep_freed_memory
 
     cost = cost_of(config)
     limit = cost.total if config.max_env_steps is None else min(cost.total, config.max_env_steps)
@@ -155,7 +155,7 @@ def _print_best(config: "CodesignConfig", result: "CodesignResult", path: Path) 
     """Prints the best design with its score, had again in a fresh world."""
     import numpy as np
 
-    from evogymcm.algos.scoring import score_alone
+    from evogymcm.algos.codesign.scoring import score_alone
 
     assert result.best is not None
     assert result.policy is not None

@@ -23,7 +23,7 @@ from evogymcm.commands._options import (
 
 if TYPE_CHECKING:
     from evogymcm.algos import PPOConfig, Progress, RunFolder, TrainResult
-    from evogymcm.algos.trainer import EnvFactory
+    from evogymcm.algos.learning.trainer import EnvFactory
 
 _DESCRIPTION = """Trains a policy with PPO and keeps it in a run folder.
 

@@ -14,7 +14,7 @@ if TYPE_CHECKING:  # numba is loaded when the command runs, not for its help
 
     from evogymcm.commands._policies import Control
     from evogymcm.envs.core import TaskEngine
-    from evogymcm.envs.render import Renderer
+    from evogymcm.envs.render.renderer import Renderer
 
 _MATERIALS = ("reactive", "invariant")
 _EXAMPLES = """examples:
@@ -89,7 +89,7 @@ def run(args: argparse.Namespace) -> int:
         for name in ("steps", "every"):
             if getattr(args, name) is not None and getattr(args, name) < 1:
                 raise ValueError(f"{name}: got {getattr(args, name)}, at least 1 is needed")
-        from evogymcm.envs.render import Renderer
+        from evogymcm.envs.render.renderer import Renderer
 
         engine, control = _engine(args)
         renderer = Renderer(engine, args.width, args.height, args.view)
@@ -154,8 +154,8 @@ def _out(given: Path | None, task: str) -> Path | None:
         ValueError: There is no such format or folder.
     """
     from evogymcm.envs._extras import load_imageio
-    from evogymcm.envs._human import has_display
-    from evogymcm.envs.video import VIDEOS
+    from evogymcm.envs.render.display import has_display
+    from evogymcm.envs.render.video import VIDEOS
 
     if given is None and has_display():
         return None
@@ -173,13 +173,13 @@ def _out(given: Path | None, task: str) -> Path | None:
 
 def _show(pictures: "Iterator[np.ndarray]", engine: "TaskEngine", out: Path | None, every: int) -> None:
     """Shows pictures in a window, or writes them to a file."""
-    from evogymcm.envs._human import Window
-    from evogymcm.envs.render import FPS
-    from evogymcm.envs.video import write_picture, write_video
+    from evogymcm.envs.render.display import Display
+    from evogymcm.envs.render.renderer import FPS
+    from evogymcm.envs.render.video import write_picture, write_video
 
     fps = FPS / every
     if out is None:
-        window = Window(engine.task.id, fps)
+        window = Display(engine.task.id, fps)
         for picture in pictures:
             if not window.show(picture):
                 break

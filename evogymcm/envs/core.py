@@ -10,7 +10,7 @@ import numpy as np
 
 from evogymcm.body import Body
 from evogymcm.envs import checks
-from evogymcm.envs.designs import MATERIALS, BodySpec, Start, as_bodies, check_grid_shape, deal_fields
+from evogymcm.envs.dealing import MATERIALS, BodySpec, Start, as_bodies, check_grid_shape, deal_fields
 from evogymcm.envs.reader import Reader, Sensed, WorldReader
 from evogymcm.envs.streams import BodySource, BodyStream, is_source, pack_bodies, unpack_bodies
 from evogymcm.envs.task import Snapshot, Task

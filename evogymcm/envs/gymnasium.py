@@ -15,12 +15,12 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from evogymcm.body import Body, as_body
-from evogymcm.envs._human import Window
 from evogymcm.envs._per_world import PerWorld, VectorWorld
 from evogymcm.envs.core import TaskEngine
-from evogymcm.envs.designs import BodySpec, as_bodies
+from evogymcm.envs.dealing import BodySpec, as_bodies
 from evogymcm.envs.registration import Described
-from evogymcm.envs.render import FPS, make_renderer
+from evogymcm.envs.render.display import Display
+from evogymcm.envs.render.renderer import FPS, make_renderer
 from evogymcm.envs.task import Task
 from evogymcm.envs.world_readings import WorldReadings
 from evogymcm.sim.constants import ACTUATION_HIGH, ACTUATION_LOW, STIFFNESS_HIGH, STIFFNESS_LOW, Physics
@@ -128,7 +128,7 @@ class GymnasiumEnv(Described, WorldReadings, gymnasium.Env[np.ndarray, np.ndarra
         self._grid = _ActionGrid(self.engine, self.action_space.shape[0])
         self._changed = engine.simulator.physics.changed()
         self._renderer = make_renderer(engine, render_mode, render_options)
-        self._window = Window(engine.task.id, FPS) if render_mode in ("human", "screen") else None
+        self._window = Display(engine.task.id, FPS) if render_mode in ("human", "screen") else None
 
     def _observation(self) -> np.ndarray:
         flat = self.engine.flat

@@ -9,10 +9,10 @@ from pettingzoo import ParallelEnv
 
 from evogymcm._messages import brief, some
 from evogymcm.body import Body
-from evogymcm.envs._human import Window
 from evogymcm.envs.core import TaskEngine
-from evogymcm.envs.designs import BodySpec, as_bodies
-from evogymcm.envs.render import FPS, make_renderer
+from evogymcm.envs.dealing import BodySpec, as_bodies
+from evogymcm.envs.render.display import Display
+from evogymcm.envs.render.renderer import FPS, make_renderer
 from evogymcm.envs.task import Task
 from evogymcm.envs.voxels import N_FEATURES, N_SIDES, N_TYPES
 from evogymcm.sim.constants import ACTUATION_HIGH, ACTUATION_LOW, STIFFNESS_HIGH, STIFFNESS_LOW, Physics
@@ -111,7 +111,7 @@ class BodiesParallelEnv(ParallelEnv[str, Observation, Action]):
         self._build(task, designs, stiffness, seed)
         self._heads = ("actuation", "stiffness") if material == "reactive" else ("actuation",)
         self._make_spaces()
-        self._window = Window(self.task.id, FPS) if render_mode == "human" else None
+        self._window = Display(self.task.id, FPS) if render_mode == "human" else None
 
     def _build(self, task: str | Task, designs: Sequence[Body], stiffness: Any, seed: int | None) -> None:
         """Makes the engine for these designs, and maps the cells of its grid to ours."""

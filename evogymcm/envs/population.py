@@ -13,8 +13,8 @@ from torchrl.envs.utils import check_marl_grouping
 from evogymcm._messages import brief
 from evogymcm.body import Body
 from evogymcm.envs.core import TaskEngine
-from evogymcm.envs.designs import BodySpec, as_bodies
-from evogymcm.envs.render import Renderer
+from evogymcm.envs.dealing import BodySpec, as_bodies
+from evogymcm.envs.render.renderer import Renderer
 from evogymcm.envs.streams import BodySource, is_source
 from evogymcm.envs.task import Task
 from evogymcm.envs.torchrl import SoftRobotEnv, check_action

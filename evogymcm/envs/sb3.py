@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from evogymcm.envs.designs import BodySpec
+from evogymcm.envs.dealing import BodySpec
 from evogymcm.envs.gymnasium import GymnasiumVectorEnv
 from evogymcm.envs.task import Task
 

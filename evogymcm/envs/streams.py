@@ -7,7 +7,7 @@ import numpy as np
 
 from evogymcm._messages import brief
 from evogymcm.body import Body, as_body, check_stiffness
-from evogymcm.envs.designs import BodySpec, is_row, on_grid
+from evogymcm.envs.dealing import BodySpec, is_row, on_grid
 
 Given = BodySpec | tuple[BodySpec, Any]  # a body, or a body and its stiffness field
 BodySource = Callable[[np.random.Generator], Given] | Iterator[Given]

@@ -11,8 +11,8 @@ from torchrl.envs import EnvBase
 
 from evogymcm._messages import brief, some
 from evogymcm.envs.core import TaskEngine
-from evogymcm.envs.designs import BodySpec
-from evogymcm.envs.render import Renderer
+from evogymcm.envs.dealing import BodySpec
+from evogymcm.envs.render.renderer import Renderer
 from evogymcm.envs.streams import BodySource
 from evogymcm.envs.task import Task
 from evogymcm.envs.voxels import N_FEATURES, N_SIDES, N_TYPES

@@ -97,9 +97,9 @@ def _stage(scene: Scene) -> tuple[Any, Any, str]:
     """Returns a world with the design, the policy, and the material setting."""
     import torch
 
-    from evogymcm.algos.actor import load_actor
-    from evogymcm.algos.designs import Design
-    from evogymcm.algos.generation import Arena
+    from evogymcm.algos.codesign.design import Design
+    from evogymcm.algos.codesign.inner_loop import Arena
+    from evogymcm.algos.learning.actor import load_actor
     from evogymcm.body import as_body
 
     saved = torch.load(scene.policy, weights_only=True)
@@ -124,8 +124,8 @@ def _frames(env: Any, actor: Any) -> list[np.ndarray]:
     """Returns pictures of the episode's first env-steps under deterministic actions."""
     import torch
 
-    from evogymcm.algos.threads import exploration
-    from evogymcm.envs.render import Renderer
+    from evogymcm.algos.learning.threads import exploration
+    from evogymcm.envs.render.renderer import Renderer
 
     renderer = Renderer(env.engine, WIDTH, HEIGHT)
     with torch.no_grad(), exploration(False):
@@ -147,8 +147,8 @@ def gif_uri(frames: Sequence[np.ndarray], largest: int = LARGEST) -> str:
     Raises:
         ValueError: Two pictures are still too large.
     """
-    from evogymcm.envs.render import FPS
-    from evogymcm.envs.video import write_video
+    from evogymcm.envs.render.renderer import FPS
+    from evogymcm.envs.render.video import write_video
 
     every = EVERY
     with tempfile.TemporaryDirectory() as folder:

@@ -9,11 +9,16 @@ import numpy as np
 import pytest
 
 from evogymcm.algos import BodyPPOConfig, PPOConfig, RunFolder
-from evogymcm.algos.codesign import CodesignConfig, SearchConfig, codesign
-from evogymcm.algos.codesign_cost import cost_of
-from evogymcm.algos.evolution import GeneticAlgorithm, RandomSearch
-from evogymcm.algos.generation import Arena
-from evogymcm.algos.parallel import codesign_all
+from evogymcm.algos.codesign import (
+    Arena,
+    CodesignConfig,
+    GeneticAlgorithm,
+    RandomSearch,
+    SearchConfig,
+    codesign,
+    codesign_all,
+    cost_of,
+)
 
 CONFIGS = (PPOConfig(), BodyPPOConfig(), SearchConfig(), CodesignConfig())
 TEXTS = {"network", "context", "sharing", "acceptance", "noise", "proposal", "task", "arm", "method", "edge_rule"}

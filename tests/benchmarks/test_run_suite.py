@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from evogymcm import robot_tasks, robots
-from evogymcm.algos.recording import Recording
+from evogymcm.algos.analysis import Recording
 
 BENCHMARKS = Path(__file__).resolve().parents[2] / "benchmarks"
 

@@ -12,7 +12,7 @@ import pytest
 import torch
 
 from evogymcm.algos import RunFolder, Trainer, take_state
-from evogymcm.algos.generation import Arena
+from evogymcm.algos.codesign import Arena
 from evogymcm.envs import tasks
 
 BENCHMARKS = Path(__file__).resolve().parents[2] / "benchmarks"

@@ -13,9 +13,8 @@ import tyro
 
 from evogymcm.__main__ import main
 from evogymcm.algos import BodyPPOConfig
-from evogymcm.algos.codesign import CodesignConfig, SearchConfig, codesign
-from evogymcm.algos.codesign_cost import cost_of
-from evogymcm.algos.parallel import codesign_in
+from evogymcm.algos.codesign import CodesignConfig, SearchConfig, codesign, cost_of
+from evogymcm.algos.codesign.parallel import codesign_in
 from evogymcm.commands import _options
 from evogymcm.commands.codesign import options as codesign_options
 from evogymcm.commands.codesign import without_choices

@@ -13,7 +13,7 @@ import torch
 from evogymcm import Body, as_body
 from evogymcm.__main__ import main
 from evogymcm.algos import RunFolder, evaluate, load_actor
-from evogymcm.algos.threads import exploration
+from evogymcm.algos.learning.threads import exploration
 from evogymcm.commands import _options
 from evogymcm.commands._options import read_stiffness, write_stiffness
 from evogymcm.envs import SoftRobotEnv

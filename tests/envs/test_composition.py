@@ -8,8 +8,7 @@ import torch
 from gymnasium.vector import AutoresetMode
 
 import evogymcm as cm
-from evogymcm.envs import SoftRobotEnv, parallel_env, population_env
-from evogymcm.envs.gymnasium import GymnasiumVectorEnv
+from evogymcm.envs import GymnasiumVectorEnv, SoftRobotEnv, parallel_env, population_env
 from tests.envs.tools import SMALL, make_engine
 
 N, STEPS = 3, 7

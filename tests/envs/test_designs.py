@@ -7,7 +7,7 @@ import torch
 
 from evogymcm import Body
 from evogymcm.envs import SoftRobotEnv, TaskEngine, parallel_env, population_env
-from evogymcm.envs.designs import as_bodies
+from evogymcm.envs.dealing import as_bodies
 
 LEGS, BLOCK = Body("HHH/V.V"), Body("HH/VV")
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import evogymcm as cm
-from evogymcm.envs.task import Snapshot
+from evogymcm.envs import Snapshot
 from evogymcm.envs.tasks import own_tasks
 from evogymcm.sim.readings import new_readings
 from tests.envs.tools import PAPER_TASKS

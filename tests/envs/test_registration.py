@@ -92,7 +92,7 @@ import gymnasium
 import numpy as np
 
 import evogymcm as cm
-from evogymcm.envs.task import Task
+from evogymcm.envs import Task
 
 
 @dataclass(frozen=True)
@@ -122,7 +122,7 @@ def torchrl(task):
 
 def executor(task):
     from evogymcm.algos import codesign
-    from evogymcm.algos.parallel import codesign_all
+    from evogymcm.algos.codesign import codesign_all
 
     config = codesign.CodesignConfig("Mine-v0", shape=(2, 2), population=2, budget=2, ppo=PPO)
     with ProcessPoolExecutor(1, get_context("spawn")) as processes:

@@ -18,11 +18,9 @@ from torchrl.record.loggers.csv import CSVLogger
 from evogymcm import tasks
 from evogymcm.__main__ import main
 from evogymcm.algos import make_actor
-from evogymcm.envs import SoftRobotEnv, parallel_env, population_env, sine_gait
-from evogymcm.envs import _palette as palette
-from evogymcm.envs._downscale import downscale
-from evogymcm.envs.render import Renderer
-from evogymcm.envs.video import write_picture, write_video
+from evogymcm.envs import Renderer, SoftRobotEnv, parallel_env, population_env, sine_gait, write_picture, write_video
+from evogymcm.envs.render import palette
+from evogymcm.envs.render.downscale import downscale
 from evogymcm.sim.constants import FIXED, H_ACT, RIGID, SOFT, V_ACT
 from tests.envs.tools import SMALL, TALL, WIDE, make_engine
 

@@ -14,10 +14,8 @@ from torchrl.envs.utils import check_env_specs
 import evogymcm as cm
 from evogymcm import Body
 from evogymcm.algos import PPOConfig, train
-from evogymcm.algos.recording import GroundContact
-from evogymcm.envs import SoftRobotEnv, TaskEngine, parallel_env, population_env
-from evogymcm.envs.render import Renderer
-from evogymcm.envs.task import Window
+from evogymcm.algos.analysis import GroundContact
+from evogymcm.envs import Renderer, SoftRobotEnv, TaskEngine, Window, parallel_env, population_env
 from evogymcm.sim.simulator import Simulator
 from evogymcm.sim.world import World, WorldObject
 from tests.envs.tools import SMALL, TALL, WIDE, assert_same, make_engine, outputs, random_actions

@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 
-from evogymcm.envs.core import TaskEngine
+from evogymcm.envs import TaskEngine
 
 PAPER_TASKS = (
     "Walker-v0",

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from evogymcm.body import Body
-from evogymcm.envs import _palette as palette
+from evogymcm.envs.render import palette
 from evogymcm.report.designs import design_sections
 from evogymcm.report.lineage import ancestors, lineage_svg, shown_by_generation
 from evogymcm.report.pictures import average_field, body_svg, css, stiffness_svg

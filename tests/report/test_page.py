@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from evogymcm.__main__ import main
-from evogymcm.algos.threads import exploration
+from evogymcm.algos.learning.threads import exploration
 from evogymcm.commands import report as command
 from evogymcm.commands._errors import UsageError
 from evogymcm.report import make_report, write_report

@@ -1,0 +1,120 @@
+"""What to try next for one body's stiffness field: noise on the best so far (EvoGymCM), or CMA-ES (Hansen, 2016)."""
+
+from math import log
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evogymcm.algos.codesign.design import Design
+from evogymcm.body import STIFFNESS_HIGH, STIFFNESS_LOW
+
+__all__ = ["CMA", "NOISE", "HillClimber", "Proposer", "load_cma", "perturb_stiffness"]
+
+NOISE = ("multiplicative", "additive")
+
+Field = NDArray[np.float64]
+
+
+def perturb_stiffness(
+    design: Design,
+    rng: np.random.Generator,
+    probability: float = 0.15,
+    sigma: float = 0.2,
+    noise: str = "multiplicative",
+) -> Field:
+    """Returns a design's stiffness field with noise on some of its voxels: (rows, cols) in [0.5, 2], 1 on empty cells.
+
+    Args:
+        design: body and stiffness to start from.
+        rng: source of randomness.
+        probability: of a voxel to be changed, independently; if none is picked, one of them is, uniformly.
+        sigma: standard deviation of the normal noise.
+        noise: "multiplicative" (factors exp(noise), EvoGymCM's reference code) or "additive" (the EvoGymCM paper).
+            Either result is clipped.
+
+    Raises:
+        ValueError: There is no such noise.
+    """
+    if noise not in NOISE:
+        raise ValueError(f"noise: got {noise!r}, allowed are {', '.join(NOISE)}")
+    voxels = design.field[design.body.occupancy]
+    is_picked = rng.random(len(voxels)) < probability
+    if not is_picked.any():
+        is_picked[rng.integers(len(voxels))] = True
+    errors = rng.normal(0.0, sigma, len(voxels))
+    moved = voxels * np.exp(errors) if noise == "multiplicative" else voxels + errors
+    return _on_body(design, np.where(is_picked, moved, voxels))
+
+
+def _on_body(design: Design, voxels: Field) -> Field:
+    """Returns the field (rows, cols) with these values, clipped, on the body's voxels, row-major."""
+    field = np.ones(design.body.shape)
+    field[design.body.occupancy] = np.clip(voxels, STIFFNESS_LOW, STIFFNESS_HIGH)
+    return field
+
+
+class Proposer(Protocol):
+    """Proposes fields for one body."""
+
+    def ask(self, best: Design) -> list[Field]:
+        """Returns fields (rows, cols) to be scored; `best` is the best design so far."""
+        ...
+
+    def tell(self, scores: Field) -> None:
+        """Learns from their scores."""
+        ...
+
+
+class HillClimber:
+    """Perturbs the best field so far."""
+
+    def __init__(self, rng: np.random.Generator, candidates: int, probability: float, sigma: float, noise: str) -> None:
+        self.rng, self.candidates = rng, candidates
+        self.arguments = (probability, sigma, noise)
+
+    def ask(self, best: Design) -> list[Field]:
+        """Returns noisy copies of the best field."""
+        return [perturb_stiffness(best, self.rng, *self.arguments) for _ in range(self.candidates)]
+
+    def tell(self, scores: Field) -> None:
+        """Learns nothing: the best field says it all."""
+
+
+def load_cma() -> Any:
+    """Returns the package for CMA-ES.
+
+    Raises:
+        ImportError: It is missing.
+    """
+    try:
+        import cma
+    except ImportError as error:
+        raise ImportError("proposal 'cma' needs the package cma: pip install evogymcm[cma]") from error
+    return cma
+
+
+class CMA:
+    """CMA-ES over the logarithms of the voxels' stiffness, begun at the given field."""
+
+    def __init__(self, start: Design, rng: np.random.Generator, candidates: int, sigma: float) -> None:
+        cma = load_cma()
+        options = {
+            "bounds": [log(STIFFNESS_LOW), log(STIFFNESS_HIGH)],
+            "popsize": candidates,
+            "verbose": -9,
+            "seed": np.nan,  # none; `randn` takes the place of numpy's global generator
+            "randn": lambda *shape: rng.standard_normal(shape),
+        }
+        self.start = start
+        self.optimizer = cma.CMAEvolutionStrategy(np.log(start.field[start.body.occupancy]), sigma, options)
+        self.points: list[Field] = []
+
+    def ask(self, best: Design) -> list[Field]:
+        """Returns samples of the present distribution, whatever is best."""
+        self.points = self.optimizer.ask()
+        return [_on_body(self.start, np.exp(point)) for point in self.points]
+
+    def tell(self, scores: Field) -> None:
+        """Moves and shapes the distribution by the samples' ranks."""
+        self.optimizer.tell(self.points, (-scores).tolist())  # it minimises

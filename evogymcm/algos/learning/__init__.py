@@ -1,0 +1,19 @@
+"""Learning: a policy shared by all voxels, PPO, evaluation."""
+
+from evogymcm._doors import door
+
+__getattr__, __dir__, __all__ = door(
+    __name__,
+    {
+        "actor": ["Actor", "MLPActor", "VoxelActor", "load_actor", "make_actor"],
+        "config": ["PPOConfig"],
+        "critic": ["MLPCritic", "VoxelCritic", "make_critic"],
+        "distributions": ["MaskedClippedNormal", "VoxelActions"],
+        "evaluation": ["Evaluation", "evaluate"],
+        "memory": ["keep_freed_memory"],
+        "ppo": ["PPOLearner"],
+        "stacking": ["PerDesign", "by_design", "by_world", "stack_states", "take_state"],
+        "trainer": ["EnvFactory", "Trainer"],
+        "training": ["Progress", "TrainResult", "train"],
+    },
+)

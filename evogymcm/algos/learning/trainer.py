@@ -1,0 +1,228 @@
+"""The learner of a run: rollouts, updates, evaluations, and all the state that resuming needs."""
+
+import copy
+import time
+from collections.abc import Mapping
+from typing import Any, Protocol, Self
+
+import numpy as np
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torchrl.collectors import Collector
+from torchrl.envs import EnvBase
+
+from evogymcm.algos.learning.actor import make_actor
+from evogymcm.algos.learning.config import PPOConfig
+from evogymcm.algos.learning.critic import make_critic
+from evogymcm.algos.learning.evaluation import Evaluation, evaluate, starts_of
+from evogymcm.algos.learning.ppo import PPOLearner
+from evogymcm.algos.learning.stacking import PerDesign, by_design, stack_states
+from evogymcm.algos.learning.threads import exploration, limited_threads
+
+__all__ = ["EnvFactory", "Trainer"]
+
+
+class EnvFactory(Protocol):
+    """Makes environments, e.g. `functools.partial(SoftRobotEnv, "Walker-v0", bodies=body)`."""
+
+    def __call__(self, *, num_worlds: int, seed: int) -> EnvBase:
+        """Returns a fresh environment, batch size (num_worlds,)."""
+
+
+class _WorldCollector(Collector):
+    """A collector whose state holds the live worlds too, so that a resumed run goes on within its episodes.
+
+    The environment's own state must come with its `state_dict` (`get_extra_state`); without, resuming restarts the
+    episodes.
+    """
+
+    _carrier: TensorDictBase
+
+    def state_dict(self) -> dict[str, Any]:
+        """Returns the environment's state and the policy's next input."""
+        return {"env": dict(self.env.state_dict()), "carrier": self._carrier.to_dict()}
+
+    def load_state_dict(self, state_dict: dict[str, Any], **kwargs: Any) -> None:
+        """Restores what `state_dict` returned."""
+        if not state_dict["env"]:
+            return
+        self.env.load_state_dict(state_dict["env"])
+        self._carrier = TensorDict(state_dict["carrier"], batch_size=self._carrier.batch_size)
+
+
+def _copies(config: PPOConfig, env: EnvBase) -> int | None:
+    """Returns the number of sets of weights, None for shared ones."""
+    if config.sharing == "shared":
+        return None
+    if getattr(env, "changes_bodies", False):
+        raise ValueError(f"sharing: got {config.sharing!r}, a stream of bodies needs 'shared': no world keeps its body")
+    for name in ("num_worlds", "eval_worlds"):
+        value = getattr(config, name)
+        if value is not None and value % env.num_designs:
+            raise ValueError(f"{name}: got {value}, independent sharing needs a multiple of {env.num_designs} designs")
+    return env.num_designs
+
+
+class Trainer:
+    """One training run, advanced update by update; as a context manager it closes its environment at the end.
+
+    The run draws from a generator of its own, and what torch and TorchRL keep for the whole process is left as it was:
+    runs may go side by side in threads, each as if it were alone.
+
+    Args:
+        make_env: makes the training environment and a fresh one for each evaluation. Their seeds, made from the run's,
+            differ.
+        config: settings of the run.
+    """
+
+    def __init__(self, make_env: EnvFactory, config: PPOConfig) -> None:
+        self.make_env, self.config = make_env, config
+        self.env_steps, self.eval_steps, self.seconds = 0, 0, 0.0
+        self._is_fresh = True
+        self.best: dict[str, Any] | None = None
+        self.generator = torch.Generator().manual_seed(config.seed)
+        # Worlds count up from a seed: those of training and evaluation, and of other runs, must not come near it.
+        seed, self._eval_seed = np.random.SeedSequence(config.seed).generate_state(2).tolist()
+        self._env = make_env(num_worlds=config.num_worlds, seed=seed)
+        try:
+            self._set_up(self._env)
+        except BaseException:
+            self._env.close(raise_if_closed=False)
+            raise
+
+    def _set_up(self, env: EnvBase) -> None:
+        """Makes the networks and what trains them."""
+        config, copies = self.config, _copies(self.config, env)
+        self.designs = env.num_designs
+        self._eval_worlds = config.eval_worlds or self.designs * starts_of(env.task)
+        options: dict[str, Any] = {"network": config.network, "copies": copies, "generator": self.generator}
+        with limited_threads(config.torch_threads):
+            self.actor = make_actor(env, config.hidden, config.initial_std, context=config.context, **options)
+            self.critic = make_critic(env, config.hidden, **options)
+        self.actor.noise_correlation, self.actor.generator = config.noise_correlation, self.generator
+        self.policy = self.actor if copies is None else PerDesign(self.actor, copies)
+        self.learner = PPOLearner(self.actor, self.critic, config, self.generator)
+        with exploration(True):
+            self.collector = _WorldCollector(
+                env,
+                self.policy,
+                frames_per_batch=config.frames_per_update,
+                auto_register_policy_transforms=False,
+                track_traj_ids=False,
+            )
+
+    @property
+    def is_finished(self) -> bool:
+        """Whether all env-steps are done."""
+        return self.env_steps >= self.config.total_steps
+
+    def update(self) -> dict[str, float]:
+        """Collects one rollout, learns from it, and returns a row for the table."""
+        start = time.perf_counter()
+        with exploration(True), limited_threads(self.config.torch_threads):
+            rollout = self.collector.rollout()
+            is_first = self._is_fresh and not self.env_steps
+            if is_first:  # a fresh policy hardly depends on its inputs: they may be rescaled under it
+                self._observe(rollout)
+            begin, end = self.config.schedule
+            done = begin + (end - begin) * self.env_steps / self.config.total_steps
+            row = self.learner.update(rollout, 1 - done)
+            if not is_first:  # after learning: the rollout's probabilities are those of the inputs' old scale
+                self._observe(rollout)
+        self.env_steps += rollout.numel()
+        self.seconds += time.perf_counter() - start
+        reward = rollout["next", "reward"].mean().item()
+        return {"env_steps": self.env_steps, "seconds": self.seconds, "reward": reward, **row}
+
+    def _observe(self, rollout: TensorDict) -> None:
+        """Updates the running normalisation from a quarter of the rollout's steps, spread over it."""
+        sample = rollout[:, ::4].select(*self.actor.in_keys)
+        if self.actor.copies is not None:
+            sample = by_design(sample, self.actor.copies)
+        self.actor.observe(sample)
+        self.critic.observe(sample)
+
+    def evaluate(self) -> Evaluation:
+        """Plays an episode in each world of a fresh environment with the present policy."""
+        start = time.perf_counter()
+        env = self.make_env(num_worlds=self._eval_worlds, seed=self._eval_seed)
+        try:
+            with limited_threads(self.config.torch_threads):
+                result = evaluate(self.policy, env)
+        finally:
+            env.close(raise_if_closed=False)
+        self.eval_steps += result.env_steps
+        self.seconds += time.perf_counter() - start
+        return result
+
+    def policy_state(self) -> dict[str, Any]:
+        """Returns the policy as it is saved: what makes the actor (`load_actor`), and what training goes on from."""
+        return {"form": self.actor.form, **self.learner.state_dict()}
+
+    def take_best(self, evaluation: Evaluation) -> bool:
+        """Keeps the present policy in `best` where its score is the highest so far; returns whether it is.
+
+        A shared policy is judged by its mean score over worlds. Independent ones are compared each with itself: `best`
+        then holds policies of different moments.
+        """
+        score, state = torch.from_numpy(evaluation.score), self.policy_state()
+        copies = self.actor.copies
+        if copies is not None:
+            score = score.reshape(-1, copies).mean(0)
+        if self.best is None or (copies is None and score.mean() > self.best["score"].mean()):
+            self.best = {name: copy.deepcopy(state[name]) for name in ("form", "actor", "critic")} | {"score": score}
+            return True
+        is_better = torch.zeros_like(score, dtype=torch.bool) if copies is None else score > self.best["score"]
+        if not is_better.any():
+            return False
+        for name in ("actor", "critic"):
+            for key, values in state[name].items():
+                self.best[name][key][is_better] = values[is_better]
+        self.best["score"] = torch.where(is_better, score, self.best["score"])
+        return True
+
+    def start_from(self, policy: Mapping[str, Any]) -> None:
+        """Takes up a saved policy's weights (see `train`) instead of fresh ones."""
+        copies, given = self.actor.copies, policy["form"]["copies"]
+        for name, network in (("actor", self.actor), ("critic", self.critic)):
+            weights = policy[name]
+            if copies is not None and given is None:
+                weights = stack_states([weights] * copies)
+            network.load_state_dict(weights)
+        if copies == given and "optimizer" in policy:
+            self.learner.optimizer.load_state_dict(policy["optimizer"])
+        self._is_fresh = False
+
+    def state_dict(self) -> dict[str, Any]:
+        """Returns all that is needed to go on: networks, optimiser, random state, live worlds, counters."""
+        return {
+            "learner": self.learner.state_dict(),
+            "worlds": self.collector.state_dict(),
+            "rng": self.generator.get_state(),
+            "noise": self.actor.noise,
+            "env_steps": self.env_steps,
+            "eval_steps": self.eval_steps,
+            "seconds": self.seconds,
+            "best": self.best,
+        }
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Restores what `state_dict` returned."""
+        self.learner.load_state_dict(state["learner"])
+        self.collector.load_state_dict(state["worlds"])
+        self.generator.set_state(state["rng"])
+        self.actor.noise = state["noise"]
+        self.env_steps, self.eval_steps = state["env_steps"], state["eval_steps"]
+        self.seconds, self.best = state["seconds"], state["best"]
+
+    def close(self) -> None:
+        """Closes the environment, with its threads, and hands the actor's noise over to torch's global generator."""
+        self.collector.shutdown(close_env=False)
+        self._env.close(raise_if_closed=False)  # TorchRL takes environments for closed that were never open
+        self.actor.generator = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self.close()

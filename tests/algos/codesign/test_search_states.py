@@ -1,0 +1,118 @@
+"""Searches over bodies: stopping and going on, and bad input."""
+
+import numpy as np
+import pytest
+
+from evogymcm.algos.codesign import GeneticAlgorithm, RandomSearch
+from tests.algos.codesign.test_genetic import SHAPE, play
+from tests.algos.tools import through_json, through_torch
+
+# Stopping and going on
+
+
+@pytest.mark.parametrize("carry", [through_json, through_torch])
+@pytest.mark.parametrize("is_asked", [False, True])
+@pytest.mark.parametrize("method", ["genetic", "random"])
+def test_a_resumed_search_equals_an_uninterrupted_one(carry, is_asked, method):
+    def make():
+        if method == "random":
+            return RandomSearch((3, 3), 40, 7, seed=5)
+        return GeneticAlgorithm((3, 3), 6, 40, seed=5, carries_stiffness=True, age_protection=1)
+
+    def improve(search):
+        for individual in search.survivors:
+            rng = np.random.default_rng(individual.index)
+            search.update(individual.index, stiffness=rng.uniform(0.5, 2.0, (3, 3)), fitness=individual.fitness + 0.01)
+
+    whole = make()
+    play(whole, 2)
+    improve(whole)
+    if is_asked:
+        whole.ask()
+    state = carry(whole.state_dict())
+    rest = play(whole)
+
+    play(resumed := make(), 1)  # whatever it did before
+    resumed.load_state_dict(state)
+    assert play(resumed) == rest
+    assert len(rest) > 10
+    assert resumed.state_dict() == whole.state_dict()
+    assert resumed.best == whole.best
+
+
+def test_a_state_of_other_settings_is_refused():
+    state = GeneticAlgorithm(SHAPE, 4, 8, seed=0).state_dict()
+    with pytest.raises(ValueError, match="population: got 5, the state has 4; seed: got 1, the state has 0"):
+        GeneticAlgorithm(SHAPE, 5, 8, seed=1).load_state_dict(state)
+    with pytest.raises(ValueError, match="method: got RandomSearch, the state has GeneticAlgorithm"):
+        RandomSearch(SHAPE, 8, 4, seed=0).load_state_dict(state)
+
+
+# Bad input
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"population": 0}, "population: got 0"),
+        ({"population": 2}, "at least 3"),
+        ({"population": 30}, "expected 1 to 20"),
+        ({"shape": (0, 5)}, "shape"),
+        ({"shape": (5,)}, "shape"),
+        ({"mutation_rate": 0.0}, "mutation_rate: got 0.0"),
+        ({"mutation_rate": 1.5}, "mutation_rate: got 1.5"),
+        ({"mutation_rate": np.nan}, "mutation_rate: got nan"),
+        ({"attempts": 0}, "attempts: got 0"),
+        ({"age_protection": -1}, "age_protection: got -1"),
+    ],
+)
+def test_bad_arguments_are_refused(arguments, message):
+    with pytest.raises(ValueError, match=message):
+        GeneticAlgorithm(**({"shape": SHAPE, "population": 5, "budget": 20, "seed": 0} | arguments))
+
+
+def test_bad_arguments_of_random_search_are_refused():
+    with pytest.raises(ValueError, match="budget: got 0"):
+        RandomSearch(SHAPE, 0, 1, seed=0)
+    with pytest.raises(ValueError, match="batch: got 0"):
+        RandomSearch(SHAPE, 5, 0, seed=0)
+
+
+@pytest.mark.parametrize(
+    ("fitness", "message"),
+    [
+        ({0: 1.0, 1: 2.0}, r"got indices \[0, 1\], expected \[0, 1, 2\]"),
+        ({0: 1.0, 1: 2.0, 2: 3.0, 3: 4.0}, "indices"),
+        ({0: 1.0, 1: 2.0, 2: np.nan}, "fitness of 2: got nan"),
+        ({0: 1.0, 1: -np.inf, 2: 0.0}, "fitness of 1: got -inf"),
+    ],
+)
+def test_bad_fitness_is_refused_and_changes_nothing(fitness, message):
+    search = GeneticAlgorithm(SHAPE, 3, 6, seed=0)
+    search.ask()
+    before = search.state_dict()
+    with pytest.raises(ValueError, match=message):
+        search.tell(fitness)
+    assert search.state_dict() == before
+    search.tell({0: 1.0, 1: 2.0, 2: 3.0})
+    with pytest.raises(ValueError, match="indices"):
+        search.tell({0: 1.0, 1: 2.0, 2: 3.0})
+
+
+def test_asking_again_gives_the_same():
+    search = GeneticAlgorithm(SHAPE, 3, 6, seed=0)
+    assert search.ask() == search.ask()
+    assert search.n_designs == 3
+    with pytest.raises(RuntimeError, match="no fitness"):
+        search.best  # noqa: B018
+
+
+def test_a_shape_without_further_bodies_is_an_error(monkeypatch):
+    monkeypatch.setattr("evogymcm.algos.codesign.body_search._MAX_FAILURES", 200)
+    search = RandomSearch((1, 1), 2, 2, seed=0)  # there are H and V
+    assert {item.design.body.text for item in search.ask()} == {"H", "V"}
+    with pytest.raises(ValueError, match=r"budget: got 3, there are at most 2 bodies of shape \(1, 1\)"):
+        RandomSearch((1, 1), 3, 3, seed=0)
+    search = RandomSearch((1, 3), 98, 98, seed=0)  # 125 - 27 have an actuator, but some are in two parts
+    with pytest.raises(RuntimeError, match=r"shape \(1, 3\) after \d\d bodies"):
+        search.ask()
