@@ -5,7 +5,7 @@ from contextlib import contextmanager
 
 import gymnasium
 
-from evogymcm.envs import register_task
+from evogymcm import register_task
 from evogymcm.envs import tasks as task_package
 
 
