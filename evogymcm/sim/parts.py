@@ -16,6 +16,7 @@ from evogymcm.sim.vectors import LANE_SLOTS
 from evogymcm.sim.world import WorldObject
 
 _SLOTS = np.argsort(LANE_SLOTS)  # which spring is in each slot
+_NEIGHBOURS = 12  # points, see `object_tables`
 _IDLE_Y = 1.0  # metres: points that only fill up are above the floor
 
 
@@ -190,12 +191,13 @@ def object_tables(
         springs = springs._replace(**{name: getattr(springs, name)[is_kept] for name in springs._fields[:-1]})
     n_moving, n_springs = int(is_moving.sum()), len(springs.rest)
     points_end, springs_end = -4 * (-n_moving // 4), -8 * (-n_springs // 8)
-    # Points with equally many springs stand together: a group takes as long as the one with most.
+    # Points with equally many springs stand together, of some neighbours: a group takes as long as the one with most,
+    # and finds near each other what it gathers.
     degrees = np.bincount(springs.ends[:, 0], minlength=t.n_points) * 16 + np.bincount(
         springs.ends[:, 1], minlength=t.n_points
     )
     order = np.flatnonzero(is_moving)
-    order = order[np.argsort(degrees[order], kind="stable")]
+    order = order[np.lexsort((degrees[order], np.arange(n_moving) // _NEIGHBOURS))]
     places = np.empty(t.n_points, np.int32)
     places[order] = 2 * (before.points + np.arange(n_moving))
     if n_moving < t.n_points:
