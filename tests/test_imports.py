@@ -20,7 +20,7 @@ def run(code):
 
 
 def layer(module):
-    """The layer's number, or None for what all layers may use; benchmarks call their neighbours by their file's name."""
+    """The layer's number, or None for what all layers may use; benchmarks are known by their file's name alone."""
     if (ROOT / "benchmarks" / f"{module.split('.')[0]}.py").exists():
         module = f"benchmarks.{module}"
     numbers = [i for i, name in enumerate(LAYERS) if module == name or module.startswith(f"{name}.")]
