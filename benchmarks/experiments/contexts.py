@@ -1,15 +1,16 @@
 """What a voxel may know of the rest of its body, and the plain network, at equal env-steps."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from statistics import mean, median, stdev
-from typing import Any, Literal
+from typing import Any
 
 from benchmarks.experiments.experiment import Record
 from benchmarks.experiments.fixed_robots import FixedRobots
 from benchmarks.experiments.tables import joined, table, with_std
-from benchmarks.experiments.training import TrainingJob, finished_runs
-from evogymcm.algos import PPOConfig
+from benchmarks.experiments.training import TrainingJob, best_score, mean_of_curve
+from evogymcm.algos.learning import PPOConfig
+from evogymcm.algos.learning.config import Material
 
 __all__ = ["ARMS", "SIZES", "Contexts"]
 
@@ -35,7 +36,7 @@ class Contexts(FixedRobots):
 
     tasks: tuple[str, ...] = ("Walker-v0", "DownStepper-v0")
     arms: tuple[str, ...] = tuple(ARMS)
-    material: Literal["reactive", "invariant"] = "reactive"
+    material: Material = "reactive"
     ppo: PPOConfig = field(default_factory=PPOConfig)
 
     @property
@@ -45,35 +46,43 @@ class Contexts(FixedRobots):
 
     def job(self, task: str, arm: str, seed: int) -> TrainingJob:
         """Returns one run."""
-        return TrainingJob(task, arm, self.material, replace(self.settings(task, seed), **ARMS[arm]))
+        return TrainingJob(arm, self.settings(task, self.material, seed, **ARMS[arm]))
 
     def summarise(self, runs: Sequence[Record]) -> list[Record]:
         """Returns one row a task and arm over its finished runs."""
         rows = []
-        for task in self.tasks:
-            for arm in self.arms:
-                if not (group := finished_runs(runs, task, arm)):
-                    continue
-                scores = [run["final"]["score"] for run in group]
-                rates = [run["env_steps_per_s"] for run in group if run["env_steps_per_s"] is not None]
-                rows.append(
-                    {
-                        "task": task,
-                        "arm": arm,
-                        "env_steps": group[0]["env_steps"],
-                        "scores": scores,
-                        "mean": mean(scores),
-                        "std": stdev(scores) if len(scores) > 1 else None,
-                        "best_score": mean(run["best_score"] for run in group),
-                        "mean_of_curve": mean(run["mean_of_curve"] for run in group),
-                        "env_steps_per_s": median(rates) if rates else None,
-                    }
-                )
+        for task, arm, group in self.groups([run for run in runs if run["finished"]]):
+            scores = [run["final"]["score"] for run in group]
+            rates = [run["env_steps_per_s"] for run in group if run["env_steps_per_s"] is not None]
+            rows.append(
+                {
+                    "task": task,
+                    "arm": arm,
+                    "env_steps": group[0]["env_steps"],
+                    "scores": scores,
+                    "mean": mean(scores),
+                    "std": stdev(scores) if len(scores) > 1 else None,
+                    "best_score": mean(map(best_score, group)),
+                    "mean_of_curve": mean(mean_of_curve(run["curve"]) for run in group),
+                    "env_steps_per_s": median(rates) if rates else None,
+                }
+            )
         return rows
 
     def table(self, rows: Sequence[Mapping[str, Any]]) -> str:
         """Returns the summary."""
-        lines = [("task", "arm", "env-steps", "final score", "of each seed", "best", "mean of curve", "env-steps/s")]
+        lines = [
+            (
+                "task",
+                "arm",
+                "env-steps",
+                "final score",
+                "of each seed",
+                "best in training",
+                "mean of curve",
+                "env-steps/s",
+            )
+        ]
         for row in rows:
             speed = "" if row["env_steps_per_s"] is None else f"{row['env_steps_per_s']:,.0f}"
             head = (row["task"], row["arm"], f"{row['env_steps']:,}", with_std(row["mean"], row["std"]))

@@ -11,9 +11,9 @@ from benchmarks.experiments import figures
 from benchmarks.experiments.experiment import Comparison, Record, Tell
 from benchmarks.experiments.paper import PAPER, PUBLISHED, PUBLISHED_BODIES
 from benchmarks.experiments.tables import joined, table, with_std
-from evogymcm.algos import BodyPPOConfig, RunFolder
 from evogymcm.algos.analysis import resample
-from evogymcm.algos.codesign import CodesignConfig, SearchConfig, codesign, cost_of
+from evogymcm.algos.codesign import BodyPPOConfig, CodesignConfig, SearchConfig, codesign, cost_of
+from evogymcm.algos.runs import RunFolder, RunRecord
 
 __all__ = ["ARMS", "SIZES_B", "SIZES_C", "CodesignJob", "EvolvedRobots"]
 
@@ -34,26 +34,15 @@ class CodesignJob:
 
     def run(self, folder: Path, resume: bool, tell: Tell, should_stop: Callable[[], bool]) -> Record:
         """Searches in `folder / name` and returns all numbers of the run."""
-        run = RunFolder(folder / self.name, asdict(self.config), resume=resume)
+        run = RunFolder(folder / self.name, {"label": self.arm, **asdict(self.config)}, resume=resume)
         result = codesign(
             self.config,
             run=run,
             progress=lambda state: tell(state.env_steps, state.best),
             should_stop=should_stop,
         )
-        points = {row["env_steps"]: row["best"] for row in result.rows}  # the last row of each phase that ended
-        record: Record = {
-            "task": self.config.task,
-            "arm": self.arm,
-            "seed": self.config.seed,
-            "finished": result.finished,
-            "env_steps": result.env_steps,
-            "bodies": len({row["index"] for row in result.rows}),
-            "best": None if result.best is None else result.best.record(),
-            "best_return": max((row["return"] for row in result.rows), default=None),
-            "curve": [[steps, best] for steps, best in sorted(points.items())],
-        }
-        run.write_json("result.json", record)
+        record = replace(RunRecord.read(run.path), env_steps=result.env_steps).as_dict()
+        record["best_return"] = max((row["return"] for row in result.rows), default=None)
         return record
 
 
@@ -98,28 +87,25 @@ class EvolvedRobots(Comparison):
     def summarise(self, runs: Sequence[Record]) -> list[Record]:
         """Returns one row a task and arm: best fitness over the seeds, where the shortest run of the task ended."""
         rows = []
-        for task in self.tasks:
-            of_task = [run for run in runs if run["task"] == task and run["curve"]]
-            end = min((run["curve"][-1][0] for run in of_task), default=0)
-            for arm in self.arms:
-                if not (group := [run for run in of_task if run["arm"] == arm]):
-                    continue
-                scores = [float(resample(run["curve"], [end], is_stepwise=True)[0]) for run in group]
-                rows.append(
-                    {
-                        "task": task,
-                        "arm": arm,
-                        "seeds": len(group),
-                        "env_steps": end,
-                        "bodies": float(np.mean([run["bodies"] for run in group])),
-                        "scores": scores,
-                        "mean": float(np.mean(scores)),
-                        "std": float(np.std(scores, ddof=1)) if len(scores) > 1 else None,
-                        "ends": [float(run["curve"][-1][1]) for run in group],
-                        "end_steps": float(np.mean([run["curve"][-1][0] for run in group])),
-                        "returns": [run["best_return"] for run in group if run.get("best_return") is not None],
-                    }
-                )
+        runs = [run for run in runs if run["curve"]]
+        for task, arm, group in self.groups(runs):
+            end = min(run["curve"][-1][0] for run in runs if run["task"] == task)
+            scores = [float(resample(run["curve"], [end], is_stepwise=True)[0]) for run in group]
+            rows.append(
+                {
+                    "task": task,
+                    "arm": arm,
+                    "seeds": len(group),
+                    "env_steps": end,
+                    "bodies": float(np.mean([run["n_designs"] for run in group])),
+                    "scores": scores,
+                    "mean": float(np.mean(scores)),
+                    "std": float(np.std(scores, ddof=1)) if len(scores) > 1 else None,
+                    "ends": [float(run["curve"][-1][1]) for run in group],
+                    "end_steps": float(np.mean([run["curve"][-1][0] for run in group])),
+                    "returns": [run["best_return"] for run in group if run.get("best_return") is not None],
+                }
+            )
         return rows
 
     def table(self, rows: Sequence[Mapping[str, Any]]) -> str:

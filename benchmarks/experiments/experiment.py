@@ -1,8 +1,9 @@
 """What an experiment is: settings, runs, a summary, a table, a figure."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -22,7 +23,9 @@ class Job(Protocol):
         """Name of the run's folder."""
 
     def run(self, folder: Path, resume: bool, tell: Tell, should_stop: Callable[[], bool]) -> Record:
-        """Does the run in `folder / name` and returns its record, with `finished`; that so far where it is stopped.
+        """Does the run in `folder / name` and returns its record, that so far where it is stopped.
+
+        The record is that of `RunRecord.as_dict` and what else is to be told; its `label` is the run's arm.
 
         Args:
             folder: of the experiment.
@@ -97,3 +100,9 @@ class Comparison(Experiment):
     def jobs(self) -> list[Job]:
         """Returns all runs, seed by seed."""
         return [self.job(task, arm, seed) for seed in self.seeds for task in self.tasks for arm in self.arms]
+
+    def groups(self, runs: Sequence[Record]) -> Iterator[tuple[str, str, list[Record]]]:
+        """Yields each task and arm that has runs, in order, with its runs."""
+        for task, arm in product(self.tasks, self.arms):
+            if group := [run for run in runs if (run["task"], run["label"]) == (task, arm)]:
+                yield task, arm, group

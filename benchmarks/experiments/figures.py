@@ -70,7 +70,7 @@ def learning_curves(runs: Sequence[Mapping[str, Any]], tasks: Sequence[str], arm
     with _panels(path, len(of_tasks)) as axes:
         for axis, (task, group) in zip(axes, of_tasks.items(), strict=True):
             for arm in arms:
-                curves = [[(steps, score) for steps, _, score in run["curve"]] for run in group if run["arm"] == arm]
+                curves = [run["curve"] for run in group if run["label"] == arm]
                 aligned = align(curves, is_stepwise=False) if curves else None
                 if aligned is None:
                     continue
@@ -82,9 +82,9 @@ def learning_curves(runs: Sequence[Mapping[str, Any]], tasks: Sequence[str], arm
                 axis.fill_between(steps, scores.min(0), scores.max(0), color=_COLOURS[arm], alpha=0.12, lw=0)
                 if paper := PAPER[task].scores.get(arm):
                     axis.axhline(paper[0], color=_COLOURS[arm], lw=0.8, ls=":", label=f"paper, {arm}")
-            untrained = mean(run["untrained"]["score"] for run in group)
+            untrained = mean(run["curve"][0][1] for run in group)
             axis.axhline(untrained, color="0.6", lw=0.8, ls="--", label="untrained policy")
-            axis.set(title=f"{task}, {group[0]['robot']}", xlabel="env-steps", ylabel="score (deterministic policy)")
+            axis.set(title=f"{task}, {PAPER[task].robot}", xlabel="env-steps", ylabel="score (deterministic policy)")
             axis.ticklabel_format(axis="x", style="sci", scilimits=(0, 0))
             axis.legend(fontsize="x-small")
 
@@ -97,7 +97,7 @@ def best_curves(runs: Sequence[Mapping[str, Any]], tasks: Sequence[str], arms: S
     with _panels(path, len(of_tasks)) as axes:
         for axis, (task, group) in zip(axes, of_tasks.items(), strict=True):
             for arm in arms:
-                curves = [run["curve"] for run in group if run["arm"] == arm]
+                curves = [run["curve"] for run in group if run["label"] == arm]
                 if not curves or (lines := band(curves, is_stepwise=True)) is None:
                     continue
                 style = {"color": _COLOURS[arm], "drawstyle": "steps-post"}
@@ -115,14 +115,14 @@ def best_curves(runs: Sequence[Mapping[str, Any]], tasks: Sequence[str], arms: S
 
 def designs(runs: Sequence[Mapping[str, Any]], path: Path) -> None:
     """Draws the best design of every run, voxels by type and, where it is searched, their stiffness."""
-    shown = sorted((run for run in runs if run["best"]), key=lambda run: (run["task"], run["arm"], run["seed"]))
+    shown = sorted((run for run in runs if run["best"]), key=lambda run: (run["task"], run["label"], run["seed"]))
     if not shown:
         return
     seeds = len({run["seed"] for run in shown})
     with _panels(path, len(shown), seeds if seeds > 1 else 3, (2.1, 2.4)) as axes:
         for axis, run in zip(axes, shown, strict=True):
             _design(axis, run["best"])
-            axis.set_title(f"{run['task']}\n{run['arm']}, seed {run['seed']}: {run['best']['fitness']:.2f}", size=6)
+            axis.set_title(f"{run['task']}\n{run['label']}, seed {run['seed']}: {run['best']['fitness']:.2f}", size=6)
 
 
 def _design(axis: Any, best: Mapping[str, Any]) -> None:

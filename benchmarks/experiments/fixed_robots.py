@@ -11,10 +11,11 @@ from benchmarks.experiments.experiment import Comparison, Record
 from benchmarks.experiments.paper import CONTROL, FIXED_ARMS, PAPER, TREATED
 from benchmarks.experiments.signals import signals_table
 from benchmarks.experiments.tables import table, with_interval, with_std
-from benchmarks.experiments.training import TrainingJob, finished_runs
+from benchmarks.experiments.training import TrainingJob, best_score
 from benchmarks.experiments.tuned import TUNED
-from evogymcm.algos import PPOConfig
 from evogymcm.algos.analysis import coverage, difference, improvement, interquartile_mean, normalise
+from evogymcm.algos.learning import PPOConfig, TrainConfig
+from evogymcm.algos.learning.config import Material
 
 __all__ = ["SIZES", "FixedRobots", "overall"]
 
@@ -54,31 +55,30 @@ class FixedRobots(Comparison):
         """Env-steps of each run, in whole rollouts."""
         return -(-self.ppo.total_steps // self.ppo.frames_per_update) * self.ppo.frames_per_update
 
-    def settings(self, task: str, seed: int) -> PPOConfig:
-        """Returns the settings of a run."""
-        changes: Mapping[str, Any] = TUNED[task].ppo if self.tuned and task in TUNED else {}
-        return replace(self.ppo, seed=seed, **changes)
+    def settings(self, task: str, material: Material, seed: int, **changes: Any) -> TrainConfig:
+        """Returns the settings of a run on the paper's robot of the task, with changes of those of PPO."""
+        if self.tuned and task in TUNED:
+            changes = {**TUNED[task].ppo, **changes}
+        return TrainConfig(task, (PAPER[task].robot,), material, ppo=replace(self.ppo, seed=seed, **changes))
 
     def job(self, task: str, arm: str, seed: int) -> TrainingJob:
         """Returns one run."""
-        return TrainingJob(task, arm, FIXED_ARMS[arm], self.settings(task, seed))
+        return TrainingJob(arm, self.settings(task, FIXED_ARMS[arm], seed))
 
     def summarise(self, runs: Sequence[Record]) -> list[Record]:
         """Returns one row a task and arm: means and standard deviations over the finished runs' seeds.
 
         The rows of co-optimisation hold the gain over control-only, where the task has both.
         """
-        rows: list[Record] = []
+        rows: dict[tuple[str, str], Record] = {}
+        for task, arm, group in self.groups([run for run in runs if run["finished"]]):
+            row = {"task": task, "arm": arm, "robot": PAPER[task].robot, **_statistics(group)}
+            row["paper_score"], row["paper_std"] = PAPER[task].scores[arm]
+            rows[task, arm] = row
         for task in self.tasks:
-            of_task: dict[str, Record] = {}
-            for arm in self.arms:
-                if group := finished_runs(runs, task, arm):
-                    of_task[arm] = {"task": task, "arm": arm, "robot": PAPER[task].robot, **_statistics(group)}
-                    of_task[arm]["paper_score"], of_task[arm]["paper_std"] = PAPER[task].scores[arm]
-            if len(of_task) == len(FIXED_ARMS):
-                of_task[TREATED]["gain"] = _gain(of_task[CONTROL], of_task[TREATED])
-            rows += of_task.values()
-        return rows
+            if (task, CONTROL) in rows and (task, TREATED) in rows:
+                rows[task, TREATED]["gain"] = _gain(rows[task, CONTROL], rows[task, TREATED])
+        return list(rows.values())
 
     def table(self, rows: Sequence[Mapping[str, Any]]) -> str:
         """Returns the paper's scores beside ours, the gain of co-optimisation, and what stiffness does in the gaits."""
@@ -100,8 +100,8 @@ def _statistics(group: Sequence[Record]) -> Record:
     columns = {
         "final_score": [run["final"]["score"] for run in group],
         "final_return": [run["final"]["return"] for run in group],
-        "best_score": [run["best_score"] for run in group],
-        "untrained_score": [run["untrained"]["score"] for run in group],
+        "best_score": [best_score(run) for run in group],
+        "untrained_score": [run["curve"][0][1] for run in group],
     }
     row: Record = {"seeds": len(group), "env_steps": group[0]["env_steps"]}
     for name, values in columns.items():

@@ -21,8 +21,10 @@ def page(results: Mapping[str, Any]) -> str:
     experiment = parse_command(results["command"]).experiment
     tables = experiment.table(experiment.summarise(results["runs"]))
     where = f"{results['machine']['cpu']}, {results['machine']['cores']} cores, {results['processes']} processes"
+    origins = [run["origin"] for run in results["runs"] if "origin" in run] or [results]
+    commits = " and ".join(sorted({str(origin["commit"])[:7] for origin in origins}))
     state = "" if results["finished"] else " Not finished."
-    origin = f"{where}: {results['wall_seconds'] / 60:.0f} minutes. Commit {str(results['commit'])[:7]}.{state}"
+    origin = f"{where}: {results['wall_seconds'] / 60:.0f} minutes. Commit {commits}.{state}"
     return f"```sh\n{results['command']}\n```\n\n{tables}\n\n{origin}\n"
 
 

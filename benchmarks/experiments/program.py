@@ -6,12 +6,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from benchmarks._machine import commit, machine, usable_cores, versions
 from benchmarks.experiments.options import Options, WriteDocs, command_of, parse
 from benchmarks.experiments.pages import page, write_docs
 from benchmarks.experiments.workers import run_all
 from evogymcm._files import write_atomic
-from evogymcm.algos import RunFolder
+from evogymcm.algos.runs import RunFolder, find_origin, usable_cores
 
 __all__ = ["main"]
 
@@ -58,9 +57,7 @@ def _run(options: Options[Any], run: RunFolder, results: dict[str, Any], n_runs:
     results |= {
         "finished": is_complete,
         "processes": processes,
-        "machine": machine(),
-        "versions": versions(),
-        "commit": commit(),
+        **find_origin(),
         "wall_seconds": time.perf_counter() - start,
         "summary": experiment.summarise(runs),
         "runs": runs,

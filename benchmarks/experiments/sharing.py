@@ -12,11 +12,12 @@ from benchmarks.experiments import figures
 from benchmarks.experiments.experiment import Experiment, Record, Tell
 from benchmarks.experiments.tables import table
 from evogymcm import Body, sample_body
-from evogymcm.algos import BodyPPOConfig, PPOConfig, RunFolder, make_actor
 from evogymcm.algos.analysis import difference, summarise
-from evogymcm.algos.codesign import Arena, Design, score_alone, train_designs
+from evogymcm.algos.codesign import Arena, BodyPPOConfig, Design, score_alone, train_designs
 from evogymcm.algos.codesign.inner_loop import Policy, Trained
+from evogymcm.algos.learning import PPOConfig, make_actor
 from evogymcm.algos.learning.threads import limited_threads
+from evogymcm.algos.runs import RunFolder
 from evogymcm.envs import as_task
 
 __all__ = ["ARMS", "ORDER", "SIZES", "ArmJob", "Sharing", "untrained_policy"]
@@ -255,7 +256,7 @@ class ArmJob:
                 start = [trained.last[0]] * len(designs["unseen"])
                 score("unseen", "zero-shot", start)
             trained = train("unseen", second, start, training[first]["env_steps"])
-        record: Record = {"task": self.experiment.task, "arm": self.arm, "seed": self.experiment.seed}
+        record: Record = {"task": self.experiment.task, "label": self.arm, "seed": self.experiment.seed}
         record |= {"finished": trained.finished and second in training, "scores": scores, "training": training}
         run.write_json("result.json", record)
         return record

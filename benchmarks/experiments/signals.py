@@ -1,4 +1,4 @@
-"""How stiffness, actuation and contact go together in the last policies of finished runs with stiffness control."""
+"""How stiffness, actuation and contact go together in an episode of a run's policy."""
 
 import json
 import math
@@ -8,39 +8,29 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import torch
-
 from benchmarks.experiments import figures
 from benchmarks.experiments.experiment import Experiment, Record, Tell
-from benchmarks.experiments.paper import PAPER
 from benchmarks.experiments.tables import table, with_interval
-from evogymcm import Body, robots
 from evogymcm._files import write_atomic
-from evogymcm.algos import load_actor
 from evogymcm.algos.analysis import Signals, analyse_signals, record_episode
-from evogymcm.envs import SoftRobotEnv
+from evogymcm.algos.runs import load_policy
 
 __all__ = ["SIZES", "SignalStudy", "analyse_run", "signals_table"]
 
 _HEAD = ("score", "same frequency", "lag, degrees", "coherence", "impacts", "rise before impact", "rank")
 
 
-def analyse_run(folder: Path, task: str, robot: Body) -> Signals:
-    """Plays an episode with the last policy of a finished run, and writes signals.json and signals.png there.
+def analyse_run(folder: Path) -> Signals:
+    """Plays an episode with the policy of a run, and writes signals.json and signals.png there.
 
     The figure is left out, with a warning, where matplotlib is not installed.
 
     Raises:
-        ValueError: The run has no final policy, or one that does not set stiffness.
+        ValueError: The run has no policy, or one that does not set stiffness.
     """
-    policy = folder / "final.pt"
-    if not policy.is_file():
-        raise ValueError(f"{folder}: it has no final.pt, so that the run is not finished")
-    actor = load_actor(torch.load(policy, weights_only=True))
-    if "stiffness" not in actor.ranges:
-        raise ValueError(f"{folder}: its policy does not set stiffness")
-    env = SoftRobotEnv(task, bodies=robot, num_worlds=1, material="reactive", num_threads=1)
-    signals = analyse_signals(record_episode(actor, env))
+    policy = load_policy(folder)
+    env = policy.make_env(1, num_threads=1)
+    signals = analyse_signals(record_episode(policy.module(env), env))
     text = json.dumps(signals.record(), allow_nan=False) + "\n"
     write_atomic(folder / "signals.json", lambda part: part.write_text(text, encoding="utf-8"))
     try:
@@ -87,24 +77,14 @@ class SignalJob:
 
     def run(self, folder: Path, resume: bool, tell: Tell, should_stop: Callable[[], bool]) -> Record:
         """Writes signals.json and signals.png into the run's own folder."""
-        config = self.run_folder / "config.json"
-        if not config.is_file():
-            raise ValueError(f"{self.run_folder}: it has no config.json, so that it is no run")
-        settings = json.loads(config.read_text(encoding="utf-8"))
-        task = settings.get("task")
-        if task not in PAPER or settings.get("material") != "reactive":
-            raise ValueError(
-                f"{self.run_folder}: got task {task!r} and material {settings.get('material')!r}, expected a run of"
-                " experiment A with stiffness control"
-            )
-        summary = analyse_run(self.run_folder, task, robots[PAPER[task].robot]).summary()
+        summary = analyse_run(self.run_folder).summary()
         tell(1, summary["score"])
         return {"run": self.name, "finished": True, **summary}
 
 
 @dataclass(frozen=True)
 class SignalStudy(Experiment):
-    """Signals of finished runs of experiment A with stiffness control; each run's folder gets signals.json and .png.
+    """Signals of the last policies of runs with stiffness control; each run's folder gets signals.json and .png.
 
     Numbers are medians over the actuators whose actuation and stiffness both vary; the rise of stiffness before impact
     has its 95 % interval. A rise's rank is the share of all shifts of the stiffness in time that would give a smaller

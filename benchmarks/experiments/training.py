@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from statistics import median
@@ -10,29 +9,25 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.experiments import signals
 from benchmarks.experiments.experiment import Record, Tell
-from benchmarks.experiments.paper import PAPER
-from evogymcm import robots
-from evogymcm.algos import PPOConfig, Progress, RunFolder, train
-from evogymcm.envs import SoftRobotEnv
+from benchmarks.experiments.signals import analyse_run
+from evogymcm.algos.learning import Progress, TrainConfig, train
+from evogymcm.algos.runs import RunFolder, RunRecord
 
-__all__ = ["TrainingJob", "finished_runs", "mean_of_curve", "rate"]
+__all__ = ["TrainingJob", "best_score", "mean_of_curve", "rate"]
 
 
 @dataclass(frozen=True)
 class TrainingJob:
-    """One training run of the paper's robot of a task."""
+    """One training run."""
 
-    task: str
     arm: str
-    material: str
-    ppo: PPOConfig
+    config: TrainConfig
 
     @property
     def name(self) -> str:
         """Name of the run's folder."""
-        return f"{self.task}-{self.arm}-seed{self.ppo.seed}"
+        return f"{self.config.task}-{self.arm}-seed{self.config.ppo.seed}"
 
     def run(self, folder: Path, resume: bool, tell: Tell, should_stop: Callable[[], bool]) -> Record:
         """Trains in `folder / name`; a finished run with stiffness control gets signals.json and signals.png too."""
@@ -40,38 +35,23 @@ class TrainingJob:
         def progress(state: Progress) -> None:
             tell(state.env_steps, state.row.get("score"))
 
-        robot = robots[PAPER[self.task].robot]
-        run = RunFolder(folder / self.name, asdict(self), resume=resume)
-        make_env = partial(SoftRobotEnv, self.task, bodies=robot, material=self.material, num_threads=1)
-        result = train(make_env, self.ppo, run=run, progress=progress, should_stop=should_stop)
-        curve = [[row["env_steps"], row["seconds"], row["score"]] for row in result.rows if "score" in row]
-        record: Record = {
-            "task": self.task,
-            "arm": self.arm,
-            "material": self.material,
-            "seed": self.ppo.seed,
-            "robot": PAPER[self.task].robot,
-            "finished": result.finished,
-            "env_steps": result.env_steps,
-            "train_seconds": result.seconds,
-            "env_steps_per_s": rate(result.rows, self.ppo.frames_per_update),
-            "untrained": {key: result.rows[0][key] for key in ("score", "return")},
-            "best_score": result.best_score,
-            "mean_of_curve": mean_of_curve(curve),
-            "final": None if result.final is None else result.final.summary(),
-            "ceiling": None if result.final is None else float(result.final.ceiling[0]),
-            "curve": curve,
-        }
-        run.write_json("result.json", record)
-        if result.finished and self.material == "reactive":
-            record["signals"] = signals.analyse_run(run.path, self.task, robot).summary()
-            run.write_json("result.json", record)
+        run = RunFolder(folder / self.name, {"label": self.arm, **asdict(self.config)}, resume=resume)
+        result = train(self.config, run=run, progress=progress, should_stop=should_stop, num_threads=1)
+        record = RunRecord.read(run.path).as_dict()
+        record["env_steps_per_s"] = rate(result.rows, self.config.ppo.frames_per_update)
+        if result.finished and self.config.material == "reactive":
+            record["signals"] = analyse_run(run.path).summary()
         return record
 
 
+def best_score(run: Mapping[str, Any]) -> float:
+    """Returns the largest score of a run's evaluations."""
+    return max(score for _, score in run["curve"])
+
+
 def mean_of_curve(points: Sequence[Sequence[float]]) -> float:
-    """Returns the area under a curve of (env-steps, seconds, score) over its length."""
-    steps, _, scores = np.array(points, dtype=np.float64).T
+    """Returns the area under a curve of (env-steps, score) over its length."""
+    steps, scores = np.array(points, dtype=np.float64).T
     return float(np.trapezoid(scores, steps) / (steps[-1] - steps[0])) if len(points) > 1 else float(scores[0])
 
 
@@ -83,8 +63,3 @@ def rate(rows: Sequence[Mapping[str, Any]], frames: int) -> float | None:
     pairs = list(pairwise(rows))[1:]
     seconds = [row["seconds"] - before["seconds"] for before, row in pairs if "score" not in row]
     return frames / median(seconds) if seconds else None
-
-
-def finished_runs(runs: Sequence[Record], task: str, arm: str) -> list[Record]:
-    """Returns the finished runs of a task and arm."""
-    return [run for run in runs if (run["task"], run["arm"]) == (task, arm) and run["finished"]]

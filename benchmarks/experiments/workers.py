@@ -17,7 +17,8 @@ from typing import Any
 from tqdm import tqdm
 
 from benchmarks.experiments.experiment import Experiment, Job, Record
-from evogymcm.algos import keep_freed_memory, stop_on_interrupt
+from evogymcm.algos.learning import keep_freed_memory
+from evogymcm.algos.runs import stop_on_interrupt
 
 __all__ = ["run_all"]
 

@@ -14,7 +14,8 @@ ALL = EvolvedRobots(("Walker-v0",), ARMS, (0,))
 def record(arm, seed, points, **changes):
     body = {"body": "HV/SR", "connections": None, "stiffness": [[0.5, 1.0], [2.0, 1.5]], "fitness": points[-1][1]}
     return {
-        "task": "Walker-v0", "arm": arm, "seed": seed, "bodies": 4, "curve": points, "best": body, "best_return": 4.25
+        "task": "Walker-v0", "label": arm, "seed": seed, "n_designs": 4, "curve": points, "best": body,
+        "best_return": 4.25,
     } | changes  # fmt: skip
 
 
@@ -40,7 +41,7 @@ def test_the_cost_of_a_run_counts_env_steps_of_all_kinds():
 def test_returns_stand_beside_published_ones_where_as_many_bodies_were_trained():
     few = record("fixed", 0, [[100, 1.0], [200, 3.0]])
     assert "published" not in ALL.table(ALL.summarise([few]))
-    shown = ALL.table(ALL.summarise([few | {"bodies": 100}, record("reactive", 0, [[200, 3.0]])]))
+    shown = ALL.table(ALL.summarise([few | {"n_designs": 100}, record("reactive", 0, [[200, 3.0]])]))
     rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in shown.splitlines()]
     assert rows[2][-4:] == ["3.00", "200", "4.25", "10.55"]
     assert rows[3][-2:] == ["", ""]

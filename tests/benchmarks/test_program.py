@@ -18,6 +18,7 @@ from benchmarks.experiments.options import EXPERIMENTS, SIZES, command_of, parse
 from benchmarks.experiments.program import main
 from benchmarks.experiments.tuned import TUNED
 from evogymcm import robots
+from evogymcm.algos.runs import find_origin
 
 PROGRAM = Path(__file__).resolve().parents[2] / "benchmarks" / "run_suite.py"
 
@@ -47,7 +48,7 @@ def test_every_setting_can_be_given():
     assert "--codesign.ppo.no-decay-learning-rate" in command
     assert parse_command(command).experiment == other
     (job,) = parse(["A", "--arms", "co-optimisation", "--seeds", "3", "--ppo.total-steps", "500"]).experiment.jobs()
-    assert (job.material, job.ppo.seed, job.ppo.total_steps) == ("reactive", 3, 500)
+    assert (job.config.material, job.config.ppo.seed, job.config.ppo.total_steps) == ("reactive", 3, 500)
     assert parse(["C", "--codesign.search.rounds", "3", "--size=small"]).experiment.codesign.search.rounds == 3
 
 
@@ -83,7 +84,9 @@ def test_an_existing_folder_is_refused(tmp_path, capsys):
 
 def test_tuned_settings_are_those_of_their_task_alone():
     plain, tuned = (parse(["A", "--size", "small", *flag]).experiment for flag in ([], ["--tuned"]))
-    differing = {new.task: new.ppo for old, new in zip(plain.jobs(), tuned.jobs(), strict=True) if old != new}
+    differing = {
+        new.config.task: new.config.ppo for old, new in zip(plain.jobs(), tuned.jobs(), strict=True) if old != new
+    }
     assert differing.keys() == TUNED.keys()
     assert all(getattr(differing[task], key) == value for task in TUNED for key, value in TUNED[task].ppo.items())
     assert all(of_task.evidence for of_task in TUNED.values())
@@ -95,8 +98,8 @@ def test_a_failed_run_does_not_take_the_others_with_it(tmp_path, monkeypatch, ca
             raise OSError("disk full")
         final = {"score": 9.0, "return": 10.0}
         return {
-            "task": job.task, "arm": job.arm, "seed": job.ppo.seed, "robot": "Walk_Bot", "finished": True,
-            "env_steps": 1000, "untrained": final, "best_score": 9.5, "final": final, "curve": [],
+            "task": "Walker-v0", "label": job.arm, "seed": 0, "finished": True, "env_steps": 1000, "final": final,
+            "curve": [(0, 0.1), (1000, 9.0)], "origin": find_origin(),
         }  # fmt: skip
 
     @contextlib.contextmanager
@@ -112,7 +115,7 @@ def test_a_failed_run_does_not_take_the_others_with_it(tmp_path, monkeypatch, ca
     assert "Walker-v0-control-only-seed0 failed" in output.err
     assert "--resume" in output.out
     results = json.loads((tmp_path / "run" / "results.json").read_text())
-    assert [run["arm"] for run in results["runs"]] == ["co-optimisation"]
+    assert [run["label"] for run in results["runs"]] == ["co-optimisation"]
     assert not results["finished"]
     assert "Not finished." in (tmp_path / "run" / "table.md").read_text()
 
@@ -164,7 +167,8 @@ def _check_signals(folder, runs):
     assert json.loads(path.read_text()) == record
     wrong = program("signals", "--folders", folder / "Walker-v0-control-only-seed0", folder, *given[2:], "--overwrite")
     assert wrong.returncode == 1
-    assert "'invariant'" in wrong.stderr
+    assert "invariant" in wrong.stderr
+    assert "final.pt" in wrong.stderr
 
 
 @pytest.mark.slow

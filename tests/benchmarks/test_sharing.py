@@ -36,7 +36,7 @@ def arm(name, scores, training=()):
         p: {"finished": True, "env_steps": 1000, "best_scores": [5.0, 7.0], "curve": [[0.0, 0.0], [1.0, 1.0]]}
         for p in training
     }
-    return {"arm": name, "finished": True, "scores": scores, "training": known}
+    return {"label": name, "finished": True, "scores": scores, "training": known}
 
 
 def test_bodies_are_seeded_and_all_different():
