@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import gymnasium
 
-from evogymcm.envs import Task, register_task
+from evogymcm import register_task
+from evogymcm.envs import Task
 from evogymcm.envs import tasks as task_package
 
 

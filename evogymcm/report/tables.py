@@ -3,8 +3,8 @@
 from collections.abc import Iterable, Sequence
 from typing import Any
 
+from evogymcm.algos.analysis import Summary, resample, summarise
 from evogymcm.algos.runs.record import NOT_RECORDED, Kind, RunRecord
-from evogymcm.report.intervals import Summary, resample, summarise
 from evogymcm.report.parts import Table
 from evogymcm.report.sources import Arm, Source
 
