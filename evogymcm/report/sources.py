@@ -24,7 +24,7 @@ _USUAL = {  # the same for the same arm in every report
     "invariant": "#009e73",
 }
 _PLANNED = ("tasks", "arms", "seeds")
-_NO_SETTINGS = ("seed", "task", "tasks", "seeds", "arm", "arms", "num_threads")
+_NO_SETTINGS = ("command", "seed", "task", "tasks", "seeds", "arm", "arms", "num_threads")
 
 
 @dataclass(frozen=True)
