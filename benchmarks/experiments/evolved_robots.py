@@ -3,15 +3,14 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from benchmarks.experiments import figures
 from benchmarks.experiments.experiment import Comparison, Record, Tell
 from benchmarks.experiments.paper import PAPER, PUBLISHED, PUBLISHED_BODIES
-from benchmarks.experiments.tables import joined, table, with_std
-from evogymcm.algos.analysis import resample
+from benchmarks.experiments.tables import joined, table
+from evogymcm.algos.analysis import resample, summarise
 from evogymcm.algos.codesign import BodyPPOConfig, CodesignConfig, SearchConfig, codesign, cost_of
 from evogymcm.algos.runs import RunFolder, RunRecord
 
@@ -90,17 +89,13 @@ class EvolvedRobots(Comparison):
         runs = [run for run in runs if run["curve"]]
         for task, arm, group in self.groups(runs):
             end = min(run["curve"][-1][0] for run in runs if run["task"] == task)
-            scores = [float(resample(run["curve"], [end], is_stepwise=True)[0]) for run in group]
             rows.append(
                 {
                     "task": task,
                     "arm": arm,
-                    "seeds": len(group),
                     "env_steps": end,
                     "bodies": float(np.mean([run["n_designs"] for run in group])),
-                    "scores": scores,
-                    "mean": float(np.mean(scores)),
-                    "std": float(np.std(scores, ddof=1)) if len(scores) > 1 else None,
+                    "scores": [float(resample(run["curve"], [end], is_stepwise=True)[0]) for run in group],
                     "ends": [float(run["curve"][-1][1]) for run in group],
                     "end_steps": float(np.mean([run["curve"][-1][0] for run in group])),
                     "returns": [run["best_return"] for run in group if run.get("best_return") is not None],
@@ -108,15 +103,21 @@ class EvolvedRobots(Comparison):
             )
         return rows
 
-    def table(self, rows: Sequence[Mapping[str, Any]]) -> str:
+    def table(self, rows: Sequence[Record]) -> str:
         """Returns the summary, beside published returns where as many bodies were trained."""
         head = ["task", "arm", "seeds", "env-steps", "bodies trained", "best score", "of each seed"]
         head += ["of whole runs", "to env-steps"]
         compared = [row["bodies"] == PUBLISHED_BODIES and bool(row["returns"]) for row in rows]
         lines = [head + ["best return", "published"] * any(compared)]
         for row, is_compared in zip(rows, compared, strict=True):
-            cells = [row["task"], row["arm"], str(row["seeds"]), f"{row['env_steps']:,.0f}", f"{row['bodies']:.0f}"]
-            cells += [with_std(row["mean"], row["std"]), joined(row["scores"])]
+            cells = [
+                row["task"],
+                row["arm"],
+                str(len(row["scores"])),
+                f"{row['env_steps']:,.0f}",
+                f"{row['bodies']:.0f}",
+            ]
+            cells += [str(summarise(row["scores"])), joined(row["scores"])]
             cells += [joined(row["ends"]), f"{row['end_steps']:,.0f}"]
             if is_compared:
                 cells += [f"{np.mean(row['returns']):.2f}", f"{PUBLISHED[row['task']]:.2f}"]

@@ -164,7 +164,7 @@ class Sharing(Experiment):
             rows.append(row | {"better_on": ""})
         return rows
 
-    def table(self, rows: Sequence[Mapping[str, Any]]) -> str:
+    def table(self, rows: Sequence[Record]) -> str:
         """Returns the scores, and the differences."""
 
         def span(row: Mapping[str, Any]) -> str:
