@@ -104,7 +104,6 @@ def control_of(policy: Mapping[str, Any], engine: "TaskEngine") -> "Control":
     Raises:
         ValueError: It was trained for other observations, or for another number of bodies.
     """
-    import numpy as np
     import torch
     from tensordict import TensorDict
 
@@ -129,16 +128,8 @@ def control_of(policy: Mapping[str, Any], engine: "TaskEngine") -> "Control":
     module = actor if copies is None else PerDesign(actor, copies)
 
     def control(engine: "TaskEngine") -> "tuple[np.ndarray, np.ndarray | None]":
-        seen = {
-            "voxels": engine.voxels,
-            "types": engine.types,
-            "task": engine.features.astype(np.float32),
-            "occupancy": engine.occupancy,
-            "actuators": engine.actuators,
-        }
-        if engine.flat is not None:
-            seen["observation"] = engine.flat
-        td = TensorDict({key: torch.from_numpy(value) for key, value in seen.items()}, [engine.num_worlds])
+        seen = {key: torch.from_numpy(value) for key, value in engine.observations().items()}
+        td = TensorDict(seen, [engine.num_worlds])
         with torch.no_grad(), exploration(False):
             action = module(td)["action"]
         return action["actuation"].numpy(), action["stiffness"].numpy() if "stiffness" in actor.ranges else None

@@ -3,31 +3,29 @@
 Arrays are indexed by world and by cell of the padded grid (V cells, bodies in the upper left corner).
 """
 
-from collections.abc import Iterable, Sequence
-from typing import Any
+from collections.abc import Sequence
+from typing import Any, Unpack
 
 import numpy as np
 
-from evogymcm.body import Body
 from evogymcm.envs import checks
-from evogymcm.envs.dealing import MATERIALS, BodySpec, Start, as_bodies, check_grid_shape, deal_fields
-from evogymcm.envs.reader import Reader, Sensed, WorldReader
-from evogymcm.envs.streams import BodySource, BodyStream, is_source, pack_bodies, unpack_bodies
-from evogymcm.envs.task import Snapshot, Task
+from evogymcm.envs.dealing import BodySpec, Start
+from evogymcm.envs.lineup import Lineup
+from evogymcm.envs.observed import Observed
+from evogymcm.envs.options import EngineOptions, as_physics, complete, lists_options
+from evogymcm.envs.streams import BodySource, BodyStream, pack_bodies, unpack_bodies
+from evogymcm.envs.task import Task
 from evogymcm.envs.tasks import as_task
-from evogymcm.envs.voxels import N_FEATURES, N_SIDES, describe
-from evogymcm.sim.constants import ACTUATION_HIGH, ACTUATION_LOW, STIFFNESS_HIGH, STIFFNESS_LOW, Physics
+from evogymcm.sim.constants import ACTUATION_HIGH, ACTUATION_LOW, STIFFNESS_HIGH, STIFFNESS_LOW
 from evogymcm.sim.simulator import Simulator
-from evogymcm.sim.world import World
 
 UNSTABLE_PENALTY = -3.0
-MOST_POINTS = 4  # that a voxel can have of its own
 # Arrays that a step can change, besides the simulator and the task's memory.
 _FLAGS = ("terminated", "truncated", "unstable", "reached")
 _STATE = ("actuation", "stiffness", "reward", "score", "returns", "length", *_FLAGS)
 
 
-class TaskEngine:
+class TaskEngine(Observed):
     """N worlds of one task, each with its body, stepped and reset together.
 
     Args:
@@ -37,17 +35,10 @@ class TaskEngine:
             own and made from its seed, or an iterator, which cannot be seeded or saved. In the invariant setting a
             stream may give (body, stiffness).
         num_worlds: N; as many as bodies by default, 1 under a stream.
-        material: "invariant" (stiffness belongs to the body) or "reactive" (stiffness is part of every action).
-        stiffness: Invariant only: a field of the body's shape in [0.5, 2], or one for each body; None is 1 everywhere.
-            Not under a stream.
-        grid_shape: (rows, columns) of the padded grid; the smallest that holds all bodies by default. Needed under a
-            stream.
-        edge_rule: "mean_factor" or "mean_stiffness", see `evogymcm.sim.scene.Scenery`.
-        physics: Constants; the benchmark's by default.
-        num_threads: Threads; all cores by default.
-        seed: For tasks with random resets and for streams, see `set_seed`.
         with_voxels: Whether to observe voxels (`self.voxels`).
         with_flat: Whether to form the flat observation, where all bodies are equal.
+        options: material, stiffness, edge_rule, physics, num_threads, grid_shape and seed, as all environments take
+            them: see `EngineOptions`.
 
     Attributes:
         bodies: The body of each world.
@@ -68,77 +59,38 @@ class TaskEngine:
             mistakes, see `evogymcm.testing.check_task`. A reset raises it where a stream gives such a body, or ends.
     """
 
+    @lists_options
     def __init__(
         self,
         task: str | Task,
         bodies: BodySpec | Sequence[BodySpec] | BodySource,
         num_worlds: int | None = None,
         *,
-        material: str = "invariant",
-        stiffness: np.ndarray | Sequence[np.ndarray | None] | None = None,
-        edge_rule: str = "mean_factor",
-        physics: Physics | None = None,
-        num_threads: int | None = None,
-        seed: int | Sequence[int | None] | None = None,
         with_voxels: bool = True,
         with_flat: bool = True,
-        grid_shape: tuple[int, int] | None = None,
+        **options: Unpack[EngineOptions],
     ) -> None:
-        self.task = as_task(task)
-        if material not in MATERIALS:
-            raise ValueError(f"material: got {material!r}, allowed are {MATERIALS}")
-        self.material = material
-        self._stream: BodyStream | None = None
-        if is_source(bodies):
-            self.grid_shape = check_grid_shape(grid_shape)
-            if stiffness is not None:
-                raise ValueError("stiffness: a stream gives it with each body, as (body, stiffness)")
-            n = self.num_designs = 1 if num_worlds is None else num_worlds
-        else:
-            designs = as_bodies(bodies)
-            self.grid_shape = check_grid_shape(grid_shape, designs)
-            n, self.num_designs = len(designs) if num_worlds is None else num_worlds, len(designs)
-        if n < 1:
-            raise ValueError(f"num_worlds: got {n}, at least 1 is needed")
-        self.num_worlds = n
-        with checks.blaming(self.task):
-            world = self.task.world if isinstance(self.task.world, World) else World.load(self.task.world)
-            checks.check_fields(self.task, world)
-        self._start = Start(self.task, world)
-        fields: np.ndarray | None
-        if is_source(bodies):
-            self._stream = BodyStream(bodies, n, self.grid_shape, material == "invariant")
-            self.set_seed(seed)
-            given = self._stream.next(np.arange(n))
-            self.bodies, fields = tuple(body for body, _ in given), np.stack([field for _, field in given])
-        else:
-            self.set_seed(seed)
-            self.bodies = tuple(designs[i % len(designs)] for i in range(n))
-            fields = deal_fields(stiffness, designs, material, n, self.grid_shape)
-        others = world.simulation_order()
-        placed = {body: (self._start.robot(body), *others) for body in dict.fromkeys(self.bodies)}
-        scenes = [placed[body] for body in self.bodies]
-        is_uniform = self._stream is None and len(placed) == 1
-        if not is_uniform:
-            with checks.blaming(self.task):
-                checks.check_windows(self.task)
-        self.simulator = Simulator(
-            scenes, edge_rule, physics, num_threads, self.grid_shape, placed=self.task.moves_at_reset
+        task, chosen = as_task(task), complete(options)
+        self.material = chosen["material"]
+        lineup = Lineup(bodies, num_worlds, chosen)
+        self._stream = lineup.stream
+        self.num_designs, self.num_worlds = lineup.num_designs, lineup.num_worlds
+        self._start = Start(task)
+        self.set_seed(chosen["seed"])
+        dealt, fields = lineup.deal()
+        scenes = self._start.scenes(dealt)
+        if self._stream is not None or len(set(dealt)) > 1:
+            with checks.blaming(task):
+                checks.check_windows(task)
+        physics, num_threads = as_physics(chosen["physics"]), chosen["num_threads"]
+        simulator = Simulator(
+            scenes, chosen["edge_rule"], physics, num_threads, lineup.grid_shape, placed=task.moves_at_reset
         )
-
-        v = self.simulator.n_cells
-        self.occupancy, self.actuators = np.zeros((n, v), bool), np.zeros((n, v), bool)
-        self.with_voxels = with_voxels
-        self.types = np.zeros((n, v, N_SIDES), np.uint8)
-        self._template = np.zeros((n, v, N_FEATURES), np.float32)
-        self._describe(range(n))
-        self.voxels = self._template.copy()
-        self._reader = Reader(self.task, self.simulator, 0 if self._stream is None else MOST_POINTS * v)
-        self.is_uniform = with_flat and is_uniform
-
+        super().__init__(task, simulator, dealt, lineup.grid_shape, with_voxels=with_voxels, with_flat=with_flat)
+        n, v = self.occupancy.shape
         self.stiffness = np.ones((n, v)) if fields is None else fields
         self.actuation = np.ones((n, v))
-        if fields is not None and material == "invariant":
+        if fields is not None and self.material == "invariant":
             self.simulator.set_stiffness(self.stiffness)
         self.reward, self.score, self.returns = np.zeros(n), np.zeros(n), np.zeros(n)
         self.length = np.zeros(n, np.int64)
@@ -153,32 +105,13 @@ class TaskEngine:
         if self._stream is not None:
             self._stream.is_new[:] = True
 
-    def _describe(self, worlds: Iterable[int]) -> None:
-        """Sets what observations say of the bodies of some worlds."""
-        arrays = self.occupancy, self.actuators, self.types, self._template
-        for world in worlds:
-            topology = self.simulator.objects(world)[0].topology
-            describe(self.bodies[world], topology, self.grid_shape[1], *(values[world] for values in arrays))
-
-    def _change_bodies(self, worlds: np.ndarray, bodies: Sequence[Body]) -> None:
-        """Gives worlds other bodies, at reset and with stiffness 1."""
-        robots = [self._start.robot(body) for body in bodies]
-        changed = list(self.bodies)
-        for world, body, robot in zip(worlds.tolist(), bodies, robots, strict=True):
-            self.simulator.set_robot(robot, world)
-            self._reader.clear(world)
-            changed[world] = body
-        self.bodies = tuple(changed)
-        for name in ("occupancy", "actuators", "types"):  # those that were shown stay as they were
-            setattr(self, name, getattr(self, name).copy())
-        self._describe(worlds.tolist())
-
     def _go_on(self, stream: BodyStream, chosen: np.ndarray) -> bool:
         """Gives the chosen worlds their next bodies, where the present one has begun an episode; returns if any had."""
         is_changed = chosen & ~stream.is_new
         worlds = np.flatnonzero(is_changed)
         given = stream.next(worlds)
-        self._change_bodies(worlds, [body for body, _ in given])
+        bodies = [body for body, _ in given]
+        self._change_bodies(worlds, bodies, [self._start.robot(body) for body in bodies])
         for world, (_, field) in zip(worlds.tolist(), given, strict=True):
             self.stiffness[world] = field
         if self.material == "invariant":
@@ -209,11 +142,6 @@ class TaskEngine:
         self._world_reader()(np.flatnonzero(chosen), 0)
         if has_changed:
             self.score_ceiling = np.where(chosen, self._ceiling(), self.score_ceiling)
-
-    def _world_reader(self) -> WorldReader:
-        """Returns what reads worlds into the present snapshot."""
-        sensed = Sensed(self.stiffness, self.actuation, self._template, self.voxels) if self.with_voxels else None
-        return self._reader.reader(sensed)
 
     def _draw(self, chosen: np.ndarray) -> None:
         """Draws what the episodes of the chosen worlds hold at random, each from its world's own generator."""
@@ -262,11 +190,6 @@ class TaskEngine:
             self._reader.keep(~mask)
         self._reward(mask, unstable)
 
-    def _renew_voxels(self, mask: np.ndarray | None) -> None:
-        """Gives `voxels` fresh memory, since observations are kept; with the old values, unless all are to be read."""
-        if self.with_voxels:
-            self.voxels = np.empty_like(self._template) if mask is None else self.voxels.copy()
-
     def _reward(self, mask: np.ndarray | None, unstable: np.ndarray) -> None:
         """Rewards and endings of the step, for the worlds of the mask."""
         before, now = self._reader.before, self._reader.now
@@ -312,32 +235,6 @@ class TaskEngine:
         """Whether bodies come from a stream: worlds get another one when they are reset."""
         return self._stream is not None
 
-    @property
-    def snapshot(self) -> Snapshot:
-        """The present readings. They are overwritten by the step after the next."""
-        return self._reader.now
-
-    @property
-    def com(self) -> np.ndarray:
-        """(N, 2) the robots' centres of mass, metres."""
-        return self._reader.now.robot.com.copy()
-
-    @property
-    def flat(self) -> np.ndarray | None:
-        """(N, D) the task's own flat observation (fresh memory), None where bodies differ."""
-        if not self.is_uniform:
-            return None
-        return np.concatenate(list(self.task.observation(self._reader.now).values()), axis=1)
-
-    @property
-    def features(self) -> np.ndarray:
-        """(N, G) global features (fresh memory): COM velocity, sine and cosine of the orientation, the task's parts."""
-        angle = self._reader.now.robot.orientation.copy()  # numpy's sine of a view may round otherwise
-        parts = [self._reader.now.robot.velocity, np.sin(angle)[:, None], np.cos(angle)[:, None]]
-        own = self.task.observation(self._reader.now)
-        parts += [part for name, part in own.items() if name not in ("velocity", "orientation", "relative")]
-        return np.concatenate(parts, axis=1)
-
     def set_seed(self, seed: int | Sequence[int | None] | None) -> None:
         """Seeds random resets and streams: one seed a world, or one for the first, from which the others count up.
 
@@ -380,7 +277,8 @@ class TaskEngine:
         if self._stream is not None:
             saved = state["stream"]
             self._stream.set_state(saved)
-            self._change_bodies(np.arange(self.num_worlds), unpack_bodies(saved["bodies"]))
+            bodies = unpack_bodies(saved["bodies"])
+            self._change_bodies(np.arange(self.num_worlds), bodies, [self._start.robot(body) for body in bodies])
             self.score_ceiling = np.array(saved["score_ceiling"])
         self.simulator.set_state(state["simulator"])
         self.refresh()
