@@ -70,7 +70,7 @@ class Task:
 
     Attributes:
         id: Name, as in EvoGym.
-        world: Its world, or the name of one of `evogymcm.sim.world.world_names()`.
+        world: Its world, or the name of one of `evogymcm.sim.world_names()`.
         spawn: World cell of the lower-left cell of the body array.
         time_limit: Env-steps after which an episode is cut.
         observes: Parts of the flat observation, in order, by their names in `observation_parts`. Those of a watched
