@@ -8,19 +8,11 @@ from pathlib import Path
 import pytest
 
 from evogymcm.envs.tasks import own_tasks
-from tests.registries import own_registries
 
 ROOT = Path(__file__).resolve().parents[1]
 TEXT = (ROOT / "README.md").read_text(encoding="utf-8")
 BLOCKS = re.findall(r"```python\n(.*?)```", TEXT, re.DOTALL)
 EXAMPLES = {path.name: path.read_text(encoding="utf-8") for path in (ROOT / "examples").glob("*.py")}
-
-
-@pytest.fixture(name="own_registries")
-def _own_registries():
-    """Lets a block register tasks without the other tests seeing them."""
-    with own_registries():
-        yield
 
 
 @pytest.mark.usefixtures("own_registries")

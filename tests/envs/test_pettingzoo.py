@@ -360,9 +360,9 @@ def test_render():
     assert make_env().render() is None
 
 
-def test_window(monkeypatch):
+@pytest.mark.usefixtures("headless")
+def test_window():
     pytest.importorskip("pygame")
-    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
     env = make_env(render_mode="human")
     env.reset()
     env.step(sample(env))
