@@ -61,8 +61,9 @@ class Observed:
         """Sets what observations say of the bodies of some worlds."""
         arrays = self.occupancy, self.actuators, self.types, self._template
         for world in worlds:
-            topology = self.simulator.objects(world)[0].topology
-            describe(self.bodies[world], topology, self.grid_shape[1], *(values[world] for values in arrays))
+            grid, topology = self.bodies[world].grid, self.simulator.objects(world)[0].topology
+            filled = (values[world] for values in arrays)
+            describe(grid, topology.cells, topology.is_surface_side, self.grid_shape[1], *filled)
 
     def _change_bodies(self, worlds: np.ndarray, bodies: Sequence[Body], robots: Sequence[WorldObject]) -> None:
         """Gives worlds other bodies, which stand there as the robots, at reset and with stiffness 1."""
