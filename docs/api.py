@@ -49,7 +49,7 @@ def home(room: str, name: str) -> str:
         return str(module)
     for info in pkgutil.walk_packages(evogymcm.__path__, "evogymcm."):  # data has no __module__
         if info.name != room and not info.name.endswith("__main__"):
-            defined = re.search(rf"^{name}\b.* = ", _source(info.name), re.MULTILINE)
+            defined = re.search(rf"^(?:\w+, )*{name}\b.* = ", _source(info.name), re.MULTILINE)
             if defined:
                 return info.name
     raise LookupError(f"{room}.{name}: no module defines it")

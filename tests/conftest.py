@@ -31,3 +31,15 @@ def _own_registries():
 def headless(monkeypatch):
     """Windows open without a display."""
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+
+
+@pytest.fixture
+def sprint(tmp_path, monkeypatch):
+    """The task's id, while it is registered; runs go to a folder of the test's own."""
+    from tests.registries import Sprint, registered  # torch comes with it, after what is set above
+
+    monkeypatch.chdir(tmp_path)
+    observes = ("velocity", "orientation", "relative")
+    task = Sprint("Sprint-v0", world="Walker-v0", spawn=(1, 1), time_limit=12, observes=observes)
+    with registered(task) as name:
+        yield name

@@ -3,29 +3,28 @@
 Arrays are indexed by world and by cell of the padded grid (V cells, bodies in the upper left corner).
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Unpack
 
 import numpy as np
 
+from evogymcm.body import Body
 from evogymcm.envs import checks
+from evogymcm.envs.actions import checked_action
 from evogymcm.envs.dealing import BodySpec, Start
+from evogymcm.envs.episodes import Episodes
 from evogymcm.envs.lineup import Lineup
 from evogymcm.envs.observed import Observed
 from evogymcm.envs.options import EngineOptions, as_physics, complete, lists_options
-from evogymcm.envs.streams import BodySource, BodyStream, pack_bodies, unpack_bodies
+from evogymcm.envs.states import checked_arrays, checked_part
+from evogymcm.envs.streams import BodySource, BodyStream, pack_bodies
 from evogymcm.envs.task import Task
 from evogymcm.envs.tasks import as_task
 from evogymcm.sim.constants import ACTUATION_HIGH, ACTUATION_LOW, STIFFNESS_HIGH, STIFFNESS_LOW
 from evogymcm.sim.simulator import Simulator
 
-UNSTABLE_PENALTY = -3.0
-# Arrays that a step can change, besides the simulator and the task's memory.
-_FLAGS = ("terminated", "truncated", "unstable", "reached")
-_STATE = ("actuation", "stiffness", "reward", "score", "returns", "length", *_FLAGS)
 
-
-class TaskEngine(Observed):
+class TaskEngine(Observed, Episodes):
     """N worlds of one task, each with its body, stepped and reset together.
 
     Args:
@@ -73,9 +72,9 @@ class TaskEngine(Observed):
         task, chosen = as_task(task), complete(options)
         self.material = chosen["material"]
         lineup = Lineup(bodies, num_worlds, chosen)
-        self._stream = lineup.stream
-        self.num_designs, self.num_worlds = lineup.num_designs, lineup.num_worlds
+        self._stream, self.num_designs = lineup.stream, lineup.num_designs
         self._start = Start(task)
+        Episodes.__init__(self, task, lineup.num_worlds)
         self.set_seed(chosen["seed"])
         dealt, fields = lineup.deal()
         scenes = self._start.scenes(dealt)
@@ -86,16 +85,12 @@ class TaskEngine(Observed):
         simulator = Simulator(
             scenes, chosen["edge_rule"], physics, num_threads, lineup.grid_shape, placed=task.moves_at_reset
         )
-        super().__init__(task, simulator, dealt, lineup.grid_shape, with_voxels=with_voxels, with_flat=with_flat)
+        Observed.__init__(self, task, simulator, dealt, lineup.grid_shape, with_voxels=with_voxels, with_flat=with_flat)
         n, v = self.occupancy.shape
         self.stiffness = np.ones((n, v)) if fields is None else fields
         self.actuation = np.ones((n, v))
         if fields is not None and self.material == "invariant":
             self.simulator.set_stiffness(self.stiffness)
-        self.reward, self.score, self.returns = np.zeros(n), np.zeros(n), np.zeros(n)
-        self.length = np.zeros(n, np.int64)
-        self.terminated, self.truncated, self.unstable, self.reached = (np.zeros(n, bool) for _ in _FLAGS)
-        self.memory: dict[str, np.ndarray] = {}
         if self._stream is not None:
             self._stream.is_new[:] = True
         with checks.blaming(self.task):
@@ -105,13 +100,19 @@ class TaskEngine(Observed):
         if self._stream is not None:
             self._stream.is_new[:] = True
 
+    def _change_bodies(self, worlds: np.ndarray, bodies: Sequence[Body]) -> None:
+        """Gives worlds other bodies, at reset and with stiffness 1."""
+        robots = [self._start.robot(body) for body in bodies]
+        for world, robot in zip(worlds.tolist(), robots, strict=True):
+            self.simulator.set_robot(robot, world)
+        self._show_bodies(worlds.tolist(), bodies)
+
     def _go_on(self, stream: BodyStream, chosen: np.ndarray) -> bool:
         """Gives the chosen worlds their next bodies, where the present one has begun an episode; returns if any had."""
         is_changed = chosen & ~stream.is_new
         worlds = np.flatnonzero(is_changed)
         given = stream.next(worlds)
-        bodies = [body for body, _ in given]
-        self._change_bodies(worlds, bodies, [self._start.robot(body) for body in bodies])
+        self._change_bodies(worlds, [body for body, _ in given])
         for world, (_, field) in zip(worlds.tolist(), given, strict=True):
             self.stiffness[world] = field
         if self.material == "invariant":
@@ -133,26 +134,12 @@ class TaskEngine(Observed):
         self.actuation[chosen] = 1.0
         if self.material == "reactive":
             self.stiffness[chosen] = 1.0
-        for values in (self.reward, self.score, self.returns, self.length):
-            values[chosen] = 0
-        for name in _FLAGS:
-            getattr(self, name)[chosen] = False
-        self._renew_voxels(mask)
+        self._begin(chosen)
         self._reader.remember(self.memory, chosen)
-        self._world_reader()(np.flatnonzero(chosen), 0)
+        self._renew_voxels(mask)
+        self._reader.read(np.flatnonzero(chosen), 0)
         if has_changed:
             self.score_ceiling = np.where(chosen, self._ceiling(), self.score_ceiling)
-
-    def _draw(self, chosen: np.ndarray) -> None:
-        """Draws what the episodes of the chosen worlds hold at random, each from its world's own generator."""
-        if type(self.task).draw is Task.draw and not self.task.moves_at_reset:
-            return  # nothing
-        for world in np.flatnonzero(chosen):
-            row = checks.checked_draw(self.task, self.task.draw(self._rngs[world]), self.memory)
-            if not self.memory:
-                self.memory = {name: np.zeros((self.num_worlds, *v.shape), v.dtype) for name, v in row.items()}
-            for name, value in row.items():
-                self.memory[name][world] = value
 
     def step(self, actuation: np.ndarray, stiffness: np.ndarray | None = None, mask: np.ndarray | None = None) -> None:
         """Advances the worlds by one env-step; what comes of it is in the attributes.
@@ -165,13 +152,10 @@ class TaskEngine(Observed):
         Raises:
             ValueError: For another shape, or NaN at a voxel that uses the number.
         """
-        given = checks.checked_action("actuation", actuation, self.actuators, ACTUATION_LOW, ACTUATION_HIGH)
-        if (stiffness is None) == (self.material == "reactive"):
-            needs = "needs stiffness in every action" if stiffness is None else "takes no stiffness in its actions"
-            raise ValueError(f"stiffness: the {self.material} setting {needs}")
+        given = checked_action("actuation", actuation, self.actuators, ACTUATION_LOW, ACTUATION_HIGH)
         factors = None
-        if stiffness is not None:
-            factors = checks.checked_action("stiffness", stiffness, self.occupancy, STIFFNESS_LOW, STIFFNESS_HIGH)
+        if stiffness is not None or self.material == "reactive":
+            factors = self._checked_stiffness(stiffness)
         if mask is None:
             self.actuation = given
             self.stiffness = self.stiffness if factors is None else factors
@@ -182,58 +166,24 @@ class TaskEngine(Observed):
                 self.stiffness[mask] = factors[mask]
         if self._stream is not None:
             self._stream.is_new[True if mask is None else mask] = False
-        self._reader.turn()
-        self._reader.remember(self.memory, mask)
-        self._renew_voxels(mask)
-        unstable = self.simulator.step(self.actuation, factors, mask, self._world_reader())
-        if mask is not None:
-            self._reader.keep(~mask)
-        self._reward(mask, unstable)
-
-    def _reward(self, mask: np.ndarray | None, unstable: np.ndarray) -> None:
-        """Rewards and endings of the step, for the worlds of the mask."""
-        before, now = self._reader.before, self._reader.now
-        reward = checks.checked_reward(self.task.reward(before, now), self.num_worlds)
-        terminated, reached = unstable.copy(), np.zeros(self.num_worlds, bool)
-        broke_down = unstable.any()
-        if broke_down:
-            reward += np.where(unstable, UNSTABLE_PENALTY, 0.0)
-        for condition, bonus, is_goal in checks.checked_endings(self.task, now):
-            if condition.any():
-                reward += np.where(condition, bonus, 0.0)
-                terminated |= condition
-                reached |= condition & is_goal
-        if broke_down:
-            reached &= ~unstable  # an unstable step goes nowhere
+        reader = self._reader
+        reader.turn()
         if self.memory:
-            self._remember(mask)
-        length = self.length + 1
-        new = {
-            "length": length,
-            "score": self.returns,
-            "reward": reward,
-            "returns": self.returns + reward,
-            "terminated": terminated,
-            "truncated": length >= self.task.time_limit,
-            "unstable": unstable,
-            "reached": reached,
-        }
+            reader.remember(self.memory, mask)
+        if self.with_voxels:
+            self._renew_voxels(mask)
+        unstable = self.simulator.step(self.actuation, factors, mask, reader.read)
         if mask is not None:
-            self.reward = np.zeros(self.num_worlds)  # of those that have made no step
-            new = {name: np.where(mask, values, getattr(self, name)) for name, values in new.items()}
-        for name, values in new.items():
-            setattr(self, name, values)
+            reader.keep(~mask)
+        self._settle(reader.before, reader.now, unstable, mask)
 
-    def _remember(self, mask: np.ndarray | None) -> None:
-        """Takes up the task's memory for the next step, for the worlds of the mask."""
-        for name, values in checks.checked_memory(self.task.remember(self._reader.now), self.memory).items():
-            rows = True if mask is None else mask.reshape(-1, *([1] * (values.ndim - 1)))
-            self.memory[name] = np.where(rows, values, self.memory[name])
-
-    @property
-    def changes_bodies(self) -> bool:
-        """Whether bodies come from a stream: worlds get another one when they are reset."""
-        return self._stream is not None
+    def _checked_stiffness(self, stiffness: np.ndarray | None) -> np.ndarray:
+        """Returns the stiffness of an action; ValueError where it is not right, missing, or not to be given."""
+        if stiffness is None:
+            raise ValueError(f"stiffness: the {self.material} setting needs stiffness in every action")
+        if self.material != "reactive":
+            raise ValueError(f"stiffness: the {self.material} setting takes no stiffness in its actions")
+        return checked_action("stiffness", stiffness, self.occupancy, STIFFNESS_LOW, STIFFNESS_HIGH)
 
     def set_seed(self, seed: int | Sequence[int | None] | None) -> None:
         """Seeds random resets and streams: one seed a world, or one for the first, from which the others count up.
@@ -241,7 +191,7 @@ class TaskEngine(Observed):
         None draws from the operating system. Nothing happens before the next reset.
         """
         seeds = checks.checked_seeds(seed, self.num_worlds)
-        self._rngs = [np.random.default_rng(value) for value in seeds]
+        self._seed(seeds)
         if self._stream is not None:
             self._stream.set_seed(seeds)
 
@@ -257,33 +207,39 @@ class TaskEngine(Observed):
             stream["stream"]["score_ceiling"] = self.score_ceiling.copy()
         return (
             stream
-            | {name: getattr(self, name).copy() for name in _STATE}
+            | self._saved()
             | {
+                "actuation": self.actuation.copy(),
+                "stiffness": self.stiffness.copy(),
                 "simulator": self.simulator.state(),
-                "memory": {name: values.copy() for name, values in self.memory.items()},
                 "shown": {name: values.copy() for name, values in self._reader.now.memory.items()},
-                "rngs": [rng.bit_generator.state for rng in self._rngs] if self.memory else [],
             }
         )
 
-    def set_state(self, state: dict[str, Any]) -> None:
-        """Takes up a state of an engine made with the same arguments."""
-        state = {"reached": np.zeros(self.num_worlds, bool)} | state  # which those of older releases lack
-        for name in _STATE:
-            setattr(self, name, np.array(state[name]))
-        self.memory = {name: np.array(values) for name, values in state["memory"].items()}
-        for rng, saved in zip(self._rngs, state["rngs"], strict=False):
-            rng.bit_generator.state = saved
-        if self._stream is not None:
-            saved = state["stream"]
-            self._stream.set_state(saved)
-            bodies = unpack_bodies(saved["bodies"])
-            self._change_bodies(np.arange(self.num_worlds), bodies, [self._start.robot(body) for body in bodies])
-            self.score_ceiling = np.array(saved["score_ceiling"])
-        self.simulator.set_state(state["simulator"])
+    def set_state(self, state: Mapping[str, Any]) -> None:
+        """Takes up a state of an engine made with the same arguments.
+
+        Raises:
+            ValueError: It is of another engine; then nothing has changed.
+        """
+        checked = self._checked(state)
+        checked |= checked_arrays(state, {"actuation": self.actuation, "stiffness": self.stiffness})
+        shown, stream, robots = checked_arrays(state, self.memory, "shown"), self._stream, None
+        if stream is not None:
+            saved = checked_part(state, "stream")
+            place, bodies = stream.checked(saved)
+            checked |= checked_arrays(saved, {"score_ceiling": self.score_ceiling})
+            robots = [self._start.robot(body) for body in bodies]
+        elif "stream" in state:
+            raise ValueError("state: it is of a stream of bodies, here bodies stay")
+        self.simulator.set_state(checked_part(state, "simulator"), robots)
+        self._take_up(checked)
+        if stream is not None:
+            stream.take_up(place)
+            self._show_bodies(range(self.num_worlds), bodies)
         self.refresh()
         # The last observation was formed before the task's memory moved on.
-        self._reader.remember(state["shown"])
+        self._reader.remember(shown)
 
     def close(self) -> None:
         """Ends the simulator's threads; a later step starts them again."""
@@ -291,6 +247,6 @@ class TaskEngine(Observed):
 
     def refresh(self) -> None:
         """Reads all worlds anew, after the simulator's state or the memory was changed from outside."""
-        self._renew_voxels(None)
         self._reader.remember(self.memory)
-        self._world_reader()(np.arange(self.num_worlds), 0)
+        self._renew_voxels(None)
+        self._reader.read(np.arange(self.num_worlds), 0)

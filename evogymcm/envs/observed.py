@@ -5,12 +5,11 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from evogymcm.body import Body
-from evogymcm.envs.reader import Reader, Sensed, WorldReader
+from evogymcm.envs.reader import Reader, Sensed
 from evogymcm.envs.streams import BodyStream
 from evogymcm.envs.task import Snapshot, Task
 from evogymcm.envs.voxels import N_FEATURES, N_SIDES, describe
 from evogymcm.sim.simulator import Simulator
-from evogymcm.sim.world import WorldObject
 
 MOST_POINTS = 4  # that a voxel can have of its own
 
@@ -65,27 +64,22 @@ class Observed:
             filled = (values[world] for values in arrays)
             describe(grid, topology.cells, topology.is_surface_side, self.grid_shape[1], *filled)
 
-    def _change_bodies(self, worlds: np.ndarray, bodies: Sequence[Body], robots: Sequence[WorldObject]) -> None:
-        """Gives worlds other bodies, which stand there as the robots, at reset and with stiffness 1."""
+    def _show_bodies(self, worlds: Sequence[int], bodies: Sequence[Body]) -> None:
+        """Has all that is said of some worlds be of other bodies."""
         changed = list(self.bodies)
-        for world, body, robot in zip(worlds.tolist(), bodies, robots, strict=True):
-            self.simulator.set_robot(robot, world)
+        for world, body in zip(worlds, bodies, strict=True):
             self._reader.clear(world)
             changed[world] = body
         self.bodies = tuple(changed)
         for name in ("occupancy", "actuators", "types"):  # those that were shown stay as they were
             setattr(self, name, getattr(self, name).copy())
-        self._describe(worlds.tolist())
-
-    def _world_reader(self) -> WorldReader:
-        """Returns what reads worlds into the present snapshot."""
-        sensed = Sensed(self.stiffness, self.actuation, self._template, self.voxels) if self.with_voxels else None
-        return self._reader.reader(sensed)
+        self._describe(worlds)
 
     def _renew_voxels(self, mask: np.ndarray | None) -> None:
         """Gives `voxels` fresh memory, since observations are kept; with the old values, unless all are to be read."""
         if self.with_voxels:
             self.voxels = np.empty_like(self._template) if mask is None else self.voxels.copy()
+            self._reader.sense(Sensed(self.stiffness, self.actuation, self._template, self.voxels))
 
     @property
     def snapshot(self) -> Snapshot:
@@ -100,9 +94,7 @@ class Observed:
     @property
     def flat(self) -> np.ndarray | None:
         """(N, D) the task's own flat observation (fresh memory), None where bodies differ."""
-        if not self.is_uniform:
-            return None
-        return np.concatenate(list(self.task.observation(self._reader.now).values()), axis=1)
+        return self._reader.flat() if self.is_uniform else None
 
     @property
     def features(self) -> np.ndarray:
