@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -10,10 +11,10 @@ import torch
 
 from evogymcm import Body, sample_body
 from evogymcm.algos import BodyPPOConfig, PPOConfig, RunFolder, make_actor
-from evogymcm.algos.codesign import Arena, Design, score_alone, train_designs
-from evogymcm.algos.codesign.inner_loop import Policy, Trained
+from evogymcm.algos.codesign import Design, score_alone, train_designs
+from evogymcm.algos.codesign.inner_loop import MakeEnv, Policy, Trained, holding
 from evogymcm.algos.learning.threads import limited_threads
-from evogymcm.envs import as_task
+from evogymcm.envs import SoftRobotEnv, as_task
 
 SHAPE = (5, 5)
 ARMS: Mapping[str, tuple[str, str]] = {  # -> policies trained on the seen bodies, and then on the unseen ones
@@ -138,18 +139,18 @@ class Job:
             should_stop: asked after every update.
         """
         run = RunFolder(folder / self.name, asdict(self), resume=resume)
-        arena = Arena(self.experiment.task, self.experiment.material)
+        make_env = partial(SoftRobotEnv, self.experiment.task, material=self.experiment.material, num_threads=1)
         designs = self.experiment.designs()
         scores: Scores = {"seen": {}, "unseen": {}}
         training: dict[str, Any] = {}
 
         def score(bodies: str, policy: str, weights: Sequence[Policy]) -> None:
-            scores[bodies][policy] = score_alone(arena, designs[bodies], weights).score.tolist()
+            scores[bodies][policy] = score_alone(make_env, designs[bodies], weights).score.tolist()
 
         def train(bodies: str, policy: str, start: list[Policy] | None, before: int) -> Trained:
             ppo, place = self.experiment.ppo(policy), RunFolder(run.path / policy, {"policy": policy}, resume=resume)
             trained = train_designs(
-                arena,
+                make_env,
                 designs[bodies],
                 ppo,
                 run=place,
@@ -163,7 +164,7 @@ class Job:
             return trained
 
         if self.arm == "shared":
-            fresh = untrained_policy(arena, designs["seen"], self.experiment.ppo("shared"))
+            fresh = untrained_policy(make_env, designs["seen"], self.experiment.ppo("shared"))
             for bodies, group in designs.items():
                 score(bodies, "untrained", [fresh] * len(group))
         first, second = ARMS[self.arm]
@@ -179,9 +180,9 @@ class Job:
         return record
 
 
-def untrained_policy(arena: Arena, designs: Sequence[Design], ppo: PPOConfig) -> Policy:
+def untrained_policy(make_env: MakeEnv, designs: Sequence[Design], ppo: PPOConfig) -> Policy:
     """Returns the policy that shared training starts from."""
-    env = arena.make(designs, 1, ppo.seed)
+    env = holding(make_env, designs)(num_worlds=len(designs), seed=ppo.seed)
     generator = torch.Generator().manual_seed(ppo.seed)
     with limited_threads(ppo.torch_threads):
         actor = make_actor(env, ppo.hidden, ppo.initial_std, context=ppo.context, generator=generator)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from evogymcm.algos.runs.older import present_settings
 from evogymcm.report.runs import NOT_RECORDED, CodesignRun, TrainingRun, read_run
 
 if TYPE_CHECKING:  # numba and torch are loaded when a command runs, not for its help
@@ -58,7 +59,8 @@ def load_trained(path: Path) -> Trained:
     if found.name == "codesign.pt":
         if saved.get("champion") is None:
             raise ValueError(f"policy: {path} has no trained design yet")
-        design, saved = _design(saved["champion"]["individual"], config), saved["champion"]["policy"]
+        best = saved["champion"]["individual"]
+        design, saved = _design(best, config), _load(found.with_name(f"policy-{best['index']:04}.pt"))
     elif isinstance(run, CodesignRun) and (number := re.fullmatch(r"policy-(\d+)\.pt", found.name)):
         design = _design(run.individuals[int(number[1])], config)
     if "form" not in saved:
@@ -92,10 +94,10 @@ def _load(file: Path) -> Mapping[str, Any]:
 
 
 def _design(row: Mapping[str, Any], config: Mapping[str, Any]) -> "Design":
-    """Returns an individual's design as its arm simulates it."""
+    """Returns an individual's design as it was simulated."""
     from evogymcm.algos.codesign.design import Design
 
-    return Design.from_record(row).in_arm(config["arm"], config["prescribed"])
+    return Design.from_record(row).at(present_settings(config)["stiffness"])
 
 
 def control_of(policy: Mapping[str, Any], engine: "TaskEngine") -> "Control":

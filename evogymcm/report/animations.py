@@ -98,15 +98,15 @@ def _stage(scene: Scene) -> tuple[Any, Any, str]:
     import torch
 
     from evogymcm.algos.codesign.design import Design
-    from evogymcm.algos.codesign.inner_loop import Arena
     from evogymcm.algos.learning.actor import load_actor
+    from evogymcm.algos.runs.older import present_settings
     from evogymcm.body import as_body
+    from evogymcm.envs import SoftRobotEnv
 
     saved = torch.load(scene.policy, weights_only=True)
     actor = load_actor(saved, None if saved["form"].get("copies") is None else 0)
     material = "reactive" if "stiffness" in actor.ranges else "invariant"
-    config = scene.run.config
-    arena = Arena(scene.run.task, material, config.get("edge_rule", "mean_factor"))
+    config = present_settings(scene.run.config)
     if scene.design is None:
         assert isinstance(scene.run, TrainingRun)
         assert scene.run.body is not None
@@ -114,8 +114,9 @@ def _stage(scene: Scene) -> tuple[Any, Any, str]:
         design = Design(as_body(scene.run.body), None if fields is None else fields[0])
     else:
         design = Design.from_record({"connections": None, "stiffness": None} | dict(scene.design))
-        design = design.in_arm(config.get("arm", ""), config.get("prescribed", 1.0))
-    env = arena.make([design])
+        design = design.at(config["stiffness"])
+    options = {"material": material, "edge_rule": config.get("edge_rule", "mean_factor"), "num_threads": 1}
+    env = SoftRobotEnv(scene.run.task, design.body, stiffness=design.stiffness, **options)
     actor.columns = env.grid_shape[1]
     return env, actor, material
 

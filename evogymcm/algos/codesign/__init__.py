@@ -12,7 +12,7 @@ __getattr__, __dir__, __all__ = door(
         "design": ["Design", "Individual", "mutate_design"],
         "genetic": ["GeneticAlgorithm"],
         "halving": ["HalvingSchedule"],
-        "inner_loop": ["Arena", "train_designs"],
+        "inner_loop": ["train_designs"],
         "map_elites": ["MapElites", "design_measures"],
         "material_search": ["MaterialSearch"],
         "parallel": ["RayExecutor", "codesign_all"],

@@ -1,4 +1,4 @@
-"""Independent co-design runs (seeds, tasks, arms) on any executor: processes of this machine, Dask, Ray.
+"""Independent co-design runs (seeds, tasks, materials) on any executor: processes of this machine, Dask, Ray.
 
     with ProcessPoolExecutor() as executor:
         for folder, result in codesign_all(configs, Path("runs"), executor): ...
@@ -14,7 +14,9 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from evogymcm.algos.codesign.run import CodesignConfig, CodesignResult, codesign
+from evogymcm.algos.codesign.config import CodesignConfig
+from evogymcm.algos.codesign.run import CodesignResult, codesign
+from evogymcm.algos.codesign.start import check_start
 from evogymcm.algos.runs.folder import RunFolder
 from evogymcm.envs.tasks import Task, as_task, register_task
 
@@ -47,14 +49,14 @@ def codesign_all(
         executor: where they run; any `concurrent.futures.Executor`.
 
     Raises:
-        ValueError: a run cannot start (`CodesignConfig.check`), before any of them does.
+        ValueError: a run cannot start, see `codesign`, before any of them does.
         Exception: what a run raised, once the others that had ended before it have been yielded.
     """
     if not callable(getattr(executor, "submit", None)):
         raise ValueError(f"executor: got {executor!r}, expected a concurrent.futures.Executor")
     for name, config in configs.items():
         try:
-            config.check()
+            check_start(config)
         except ValueError as error:
             raise ValueError(f"{name}: {error}") from None
     futures: dict[Future, str] = {}

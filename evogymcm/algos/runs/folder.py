@@ -17,6 +17,7 @@ import torch
 from filelock import FileLock, Timeout
 
 from evogymcm._files import write_atomic
+from evogymcm.algos.runs.older import present_settings
 
 __all__ = ["RunFolder", "RunInUseError", "stop_on_interrupt"]
 
@@ -119,7 +120,7 @@ class RunFolder:
 
     def _check_same(self, config: Mapping[str, Any]) -> None:
         """Compares with the saved settings."""
-        saved = self.read_json(_CONFIG)
+        saved = present_settings(self.read_json(_CONFIG))
         differing = sorted(key for key in saved.keys() | config.keys() if saved.get(key) != config.get(key))
         if differing:
             changes = "; ".join(f"{key}: got {config.get(key)}, the run has {saved.get(key)}" for key in differing)
