@@ -150,7 +150,6 @@ def _codesign(config: "CodesignConfig", folder: "RunFolder", arguments: Sequence
         result = codesign(config, run=folder, progress=lambda state: _show(bar, state))
         if result.finished and result.best is not None:  # with what scoring has done since the last update
             bar.show(result.env_steps, {"best": f"{result.best.fitness:.3f}"})
-    folder.write_json("result.json", _record(config, result))
     if result.best is not None:
         _print_best(config, result, folder.path)
     if result.finished:
@@ -164,23 +163,6 @@ def _show(bar: Bar, state: "CodesignProgress") -> None:
     if state.best is not None:
         numbers["best"] = f"{state.best:.3f}"
     bar.show(state.env_steps, numbers)
-
-
-def _record(config: "CodesignConfig", result: "CodesignResult") -> dict[str, Any]:
-    """Returns the numbers of a run, named as in the benchmark suite's records."""
-    from evogymcm import __version__
-
-    return {
-        "evogymcm": __version__,
-        "task": config.task,
-        "material": config.material,
-        "seed": config.seed,
-        "finished": result.finished,
-        "env_steps": result.env_steps,
-        "bodies": len({row["index"] for row in result.rows}),
-        "best": None if result.best is None else result.best.record(),
-        "curve": sorted({row["env_steps"]: row["best"] for row in result.rows}.items()),
-    }
 
 
 def _print_best(config: "CodesignConfig", result: "CodesignResult", path: Path) -> None:

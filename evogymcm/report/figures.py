@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from evogymcm.report.intervals import Band, band
+from evogymcm.algos.analysis import Band, band
 from evogymcm.report.runs import CodesignRun, TrainingRun
 from evogymcm.report.sources import Arm
 

@@ -4,10 +4,10 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+from evogymcm.algos.analysis import interval_note
 from evogymcm.report import figures, tables
 from evogymcm.report.designs import design_sections
 from evogymcm.report.figures import load_plotly
-from evogymcm.report.intervals import interval_note
 from evogymcm.report.parts import Figure, Fold, Note, Part, Picture, Pictures, Section
 from evogymcm.report.runs import CodesignRun, TrainingRun
 from evogymcm.report.signals import signal_parts

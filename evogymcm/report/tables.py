@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Sequence
 from typing import Any
 
-from evogymcm.report.intervals import Summary, resample, summarise
+from evogymcm.algos.analysis import Summary, resample, summarise
 from evogymcm.report.parts import Table
 from evogymcm.report.runs import NOT_RECORDED, CodesignRun, TrainingRun
 from evogymcm.report.sources import AnyRun, Arm, Source

@@ -36,7 +36,7 @@ def test_a_run_from_end_to_end(sprint, arguments, capsys, tmp_path):
     config, result = (json.loads((run / name).read_text()) for name in ("config.json", "result.json"))
     assert (config["task"], config["material"], config["shape"]) == (sprint, arguments[1], [2, 3])
     assert result["finished"]
-    assert result["bodies"] == 4
+    assert result["n_designs"] == 4
     best = result["best"]
     assert best["body"] in out
     assert float(re.search(r"^score +(\S+)", out, re.MULTILINE)[1]) == pytest.approx(best["fitness"], abs=6e-4)
@@ -76,7 +76,7 @@ def test_a_stopped_run_goes_on_to_the_same_result(sprint, capsys, monkeypatch, t
 def test_a_limit_in_env_steps_ends_the_run(sprint, capsys, tmp_path):
     assert main(["codesign", sprint, *TINY, "--max-env-steps", "10", "--run", "run"]) == 0
     assert "ends with the generation in which 10 env-steps are reached" in capsys.readouterr().out
-    assert json.loads((tmp_path / "run" / "result.json").read_text())["bodies"] == 3  # the first generation
+    assert json.loads((tmp_path / "run" / "result.json").read_text())["n_designs"] == 3  # the first generation
 
 
 def test_a_file_of_a_world_is_a_task(capsys, tmp_path, monkeypatch):

@@ -1,4 +1,4 @@
-"""Analysis: time series of an episode, and what voxels do with their stiffness in it."""
+"""Analysis: scores over seeds, time series of an episode, and what voxels do with their stiffness in it."""
 
 from evogymcm._doors import door
 
@@ -7,5 +7,22 @@ __getattr__, __dir__, __all__ = door(
     {
         "recording": ["GroundContact", "Recording", "record_episode"],
         "signals": ["Signals", "Spectra", "TouchDown", "VoxelSignals", "analyse_signals"],
+        "statistics": [
+            "CONFIDENCE",
+            "RESAMPLES",
+            "Band",
+            "Summary",
+            "align",
+            "band",
+            "bootstrap",
+            "coverage",
+            "difference",
+            "improvement",
+            "interquartile_mean",
+            "interval_note",
+            "normalise",
+            "resample",
+            "summarise",
+        ],
     },
 )

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evogymcm.algos.analysis.recording import Recording
+from evogymcm.algos.analysis.statistics import bootstrap
 from evogymcm.sim.constants import SUBSTEPS, Physics
 
 __all__ = ["Signals", "Spectra", "TouchDown", "VoxelSignals", "analyse_signals"]
@@ -29,7 +30,6 @@ _STILL = 1e-3  # a signal whose standard deviation is smaller counts as constant
 _MANY = 3  # windows at least: with one, coherence is 1 for any two signals
 AROUND = 10  # env-steps before and after an impact
 QUIET = 3  # env-steps without contact that make the next contact an impact
-_RESAMPLES = 2_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -261,12 +261,9 @@ def _touch_down(stiffness: Array, contact: NDArray[np.bool_]) -> TouchDown:
     around = stiffness[at[:, None] + lags, voxel[:, None]]  # (impacts, lags)
     rises = around[:, [AROUND - 1, AROUND]].mean(1) - around[:, :5].mean(1)
 
-    _, group = np.unique(at, return_inverse=True)
-    counts, sums = np.bincount(group), np.bincount(group, rises)
     interval = None
-    if len(counts) > 1:
-        chosen = np.random.default_rng(0).integers(len(counts), size=(_RESAMPLES, len(counts)))
-        low, high = np.quantile(sums[chosen].sum(1) / counts[chosen].sum(1), (0.025, 0.975))
+    if len(np.unique(at)) > 1:
+        low, high = bootstrap(rises, clusters=at)
         interval = (float(low), float(high))
 
     ends = stiffness[AROUND:]  # rise of every voxel at every moment

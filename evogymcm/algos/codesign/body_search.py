@@ -163,7 +163,7 @@ class DesignSearch(ABC):
         The survivors stay the same; the population and they are sorted anew.
 
         Args:
-            index: of the survivor.
+            index: number of the survivor.
             stiffness: (rows, cols) its new field; None leaves the old one.
             fitness: its new fitness; None leaves the old one.
 

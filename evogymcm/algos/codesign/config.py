@@ -1,12 +1,12 @@
 """Settings of a co-design run: plain data, without torch."""
 
 import warnings
-from collections.abc import Callable, Mapping
-from dataclasses import KW_ONLY, dataclass, field, fields
-from functools import partial, wraps
-from typing import Any, Literal, get_args
+from collections.abc import Callable
+from dataclasses import KW_ONLY, dataclass, field
+from functools import wraps
+from typing import Any, Literal
 
-from evogymcm._settings import check_choice, check_count, check_flag, check_number, check_numbers, check_pair
+from evogymcm._settings import EdgeRule, Material, check_count, check_fields, check_numbers, check_pair
 from evogymcm.algos.codesign.body_ppo import BodyPPOConfig, check_body_ppo
 from evogymcm.algos.codesign.body_search import check_budget
 from evogymcm.algos.codesign.genetic import check_population
@@ -16,82 +16,20 @@ from evogymcm.body import SAMPLE_WEIGHTS, STIFFNESS_HIGH, STIFFNESS_LOW, check_w
 
 __all__ = ["CodesignConfig", "SearchConfig"]
 
-Material = Literal["invariant", "reactive"]
-EdgeRule = Literal["mean_factor", "mean_stiffness"]
 Method = Literal["ga", "random", "qd"]
 Acceptance = Literal["reference", "paper"]
 Noise = Literal["multiplicative", "additive"]
 Proposal = Literal["hill-climbing", "cma"]
 
-Check = Callable[[str, Any], Any]  # of a field's name and value; returns the value as Python has it
-
-
-def _one_of(choices: Any) -> Check:
-    return partial(check_choice, allowed=get_args(choices))
-
-
-def _check_shape(name: str, value: Any) -> tuple[int, int]:
-    rows, cols = check_pair(name, value)
-    return check_count(name, rows), check_count(name, cols)
-
-
-def _check_task(name: str, value: Any) -> str:
-    if not isinstance(value, str):
-        raise ValueError(f"{name}: got {value!r}, expected the id of a task")
-    return value
-
-
-def _check_search(name: str, value: Any) -> "SearchConfig":
-    if not isinstance(value, SearchConfig):
-        raise ValueError(f"{name}: got {value!r}, expected a SearchConfig or None")
-    return value
-
-
-def _check_ppo(name: str, value: Any) -> BodyPPOConfig:
-    check_body_ppo(value)
-    if value.network != "voxel":
-        raise ValueError(f"ppo.network: got {value.network!r}, bodies differ, so it must be 'voxel'")
-    defaults = BodyPPOConfig()
-    for own, instead in (("seed", "seed"), ("schedule", "rungs")):
-        if getattr(value, own) != getattr(defaults, own):
-            raise ValueError(f"ppo.{own}: got {getattr(value, own)}, in co-design it comes from {instead}")
-    return value
-
-
-_CHECKS: Mapping[str, Check] = {  # of all other fields: check_count
-    "task": _check_task,
-    "material": _one_of(Material),
-    "stiffness": partial(check_number, low=STIFFNESS_LOW, high=STIFFNESS_HIGH),
-    "search": _check_search,
-    "edge_rule": _one_of(EdgeRule),
-    "shape": _check_shape,
-    "method": _one_of(Method),
-    "mutation_rate": partial(check_number, above=0.0, high=1.0),
-    "weights": lambda name, value: check_weights(check_numbers(name, value)),
-    "inherit": check_flag,
-    "inherit_std": partial(check_number, above=0.0),
-    "rungs": check_numbers,
-    "keep": check_numbers,
-    "age_protection": partial(check_count, low=0),
-    "ppo": _check_ppo,
-    "seed": partial(check_count, low=0),
-    "acceptance": _one_of(Acceptance),
-    "noise": _one_of(Noise),
-    "proposal": _one_of(Proposal),
-    "probability": partial(check_number, low=0.0, high=1.0),
-    "sigma": partial(check_number, above=0.0),
+_BOUNDS: dict[str, dict[str, float]] = {  # counts without any: from 1
+    "stiffness": {"low": STIFFNESS_LOW, "high": STIFFNESS_HIGH},
+    "mutation_rate": {"above": 0, "high": 1},
+    "inherit_std": {"above": 0},
+    "age_protection": {"low": 0},
+    "seed": {"low": 0},
+    "probability": {"low": 0, "high": 1},
+    "sigma": {"above": 0},
 }
-
-
-_OPTIONAL = ("search", "max_env_steps", "inherit_std", "finetune_steps", "num_threads")
-
-
-def _check_fields(config: Any) -> None:
-    """Checks every field by itself, and puts its value as Python has it in its place."""
-    for item in fields(config):
-        value = getattr(config, item.name)
-        if value is not None or item.name not in _OPTIONAL:
-            object.__setattr__(config, item.name, _CHECKS.get(item.name, check_count)(item.name, value))
 
 
 @dataclass(frozen=True)
@@ -120,7 +58,7 @@ class SearchConfig:
     proposal: Proposal = "hill-climbing"
 
     def __post_init__(self) -> None:
-        _check_fields(self)
+        check_fields(self, _BOUNDS)
         if self.proposal == "cma" and self.candidates < 2:
             raise ValueError(f"candidates: got {self.candidates}, proposal 'cma' needs at least 2")
 
@@ -191,15 +129,34 @@ class CodesignConfig:
     num_threads: int | None = 1
 
     def __post_init__(self) -> None:
-        _check_fields(self)
+        check_fields(self, _BOUNDS)
+        halving = HalvingSchedule(self.rungs, self.keep)
+        rows, cols = (check_count("shape", side) for side in check_pair("shape", self.shape))
+        weights = check_weights(check_numbers("weights", self.weights))
+        for name, value in (("shape", (rows, cols)), ("weights", weights), *vars(halving).items()):
+            object.__setattr__(self, name, value)
+        if not isinstance(self.task, str):
+            raise ValueError(f"task: got {self.task!r}, expected the id of a task")
+        if not isinstance(self.search, SearchConfig | None):
+            raise ValueError(f"search: got {self.search!r}, expected a SearchConfig or None")
+        self._check_ppo()
         self._check_material()
         self._check_inheritance()
-        if self.age_protection and self.method != "ga":
-            raise ValueError(f"age_protection: got {self.age_protection}, method {self.method!r} has none (0)")
         check_budget(self.shape, self.budget, self.weights)
         if self.method == "ga":
             check_population(self.population, self.budget)
-        HalvingSchedule(self.rungs, self.keep)
+        elif self.age_protection:
+            raise ValueError(f"age_protection: got {self.age_protection}, method {self.method!r} has none (0)")
+
+    def _check_ppo(self) -> None:
+        """Raises a ValueError where the inner loop does not go together with co-design."""
+        check_body_ppo(self.ppo)
+        if self.ppo.network != "voxel":
+            raise ValueError(f"ppo.network: got {self.ppo.network!r}, bodies differ, so it must be 'voxel'")
+        defaults = BodyPPOConfig()
+        for name, instead in (("seed", "seed"), ("schedule", "rungs")):
+            if getattr(self.ppo, name) != getattr(defaults, name):
+                raise ValueError(f"ppo.{name}: got {getattr(self.ppo, name)}, in co-design it comes from {instead}")
 
     def _check_material(self) -> None:
         """Raises a ValueError where stiffness is asked for that the run does not have."""

@@ -80,7 +80,7 @@ class Individual:
         index: its number, counted from 0 in the order of proposal.
         design: body and stiffness.
         parent: index of the individual that it was mutated from, None for a random one.
-        generation: in which it was proposed, counted from 0.
+        generation: when it was proposed, counted from 0.
         fitness: the best score of its training, None before it is told.
     """
 

@@ -1,9 +1,8 @@
 """Budgets of training by successive halving."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import pairwise
-from math import ceil, isfinite
+from math import ceil
 
 from evogymcm._settings import check_numbers
 
@@ -37,23 +36,6 @@ class HalvingSchedule:
     def count(self, rung: int, n_bodies: int) -> int:
         """Returns how many of `n_bodies` go on after a rung: the share kept, rounded up."""
         return ceil(round(self.keep[rung] * n_bodies, 9))  # rounded before: 0.07 * 100 is above 7 in floats
-
-    def promote(self, fitness: Mapping[int, float], rung: int) -> list[int]:
-        """Returns the indices of the bodies that go on, best first; of equals, those that come first in `fitness`.
-
-        Args:
-            fitness: the bodies that reached the rung, by index, with what they reached.
-            rung: which one, counted from 0.
-
-        Raises:
-            ValueError: There is no such rung, or a fitness is not finite.
-        """
-        if not 0 <= rung < len(self.rungs):
-            raise ValueError(f"rung: got {rung}, expected 0 to {len(self.rungs) - 1}")
-        if not all(isfinite(value) for value in fitness.values()):
-            raise ValueError(f"fitness: got {dict(fitness)}, all must be finite")
-        ranked = sorted(fitness, key=lambda index: -fitness[index])
-        return ranked[: self.count(rung, len(ranked))]
 
     def cost(self, n_bodies: int) -> float:
         """Returns the training of `n_bodies` in full budgets: `n_bodies` without halving."""

@@ -14,8 +14,9 @@ import torch
 
 from evogymcm.algos.codesign.body_ppo import BodyPPOConfig, check_body_ppo
 from evogymcm.algos.codesign.design import Design
+from evogymcm.algos.learning.outcome import Progress, TrainResult
 from evogymcm.algos.learning.stacking import stack_states, take_state
-from evogymcm.algos.learning.training import Progress, TrainResult, train
+from evogymcm.algos.learning.trainer import Trainer
 from evogymcm.algos.runs.folder import RunFolder
 from evogymcm.envs import SoftRobotEnv
 
@@ -81,8 +82,8 @@ def train_designs(
     if start_from is not None and len(start_from) != n:
         raise ValueError(f"start_from: got {len(start_from)} policies, expected one for each of {n} designs")
     start = None if start_from is None else stack_policies(start_from, ppo.sharing)
-    options: dict[str, Any] = {"run": run, "progress": progress, "should_stop": should_stop, "start_from": start}
-    return _apart(train(holding(make_env, designs), ppo.of_bodies(n), **options), n)
+    trainer = Trainer(holding(make_env, designs), ppo.of_bodies(n))
+    return _apart(trainer.train(run=run, progress=progress, should_stop=should_stop, initial=start), n)
 
 
 def exploring(policy: Policy, std: float) -> Policy:

@@ -61,8 +61,8 @@ class Ledger:
         Args:
             event: "train", "search" or "finetune".
             individual: it, as it is now.
-            generation: in which it happened.
-            env_steps: of all kinds, simulated so far.
+            generation: when it happened.
+            env_steps: all that are simulated so far.
             total: its return; None for the one that it had.
         """
         assert individual.fitness is not None

@@ -102,7 +102,7 @@ def score_alone(make_env: MakeEnv, designs: Sequence[Design], policies: Sequence
         make_env: see `train_designs`.
         designs: D designs.
         policies: D policies.
-        seed: of tasks with random resets, from which the seeds of several episodes count up; the same for all designs.
+        seed: where tasks with random resets draw from; those of several episodes count up. The same for all designs.
 
     Raises:
         ValueError: There are not as many policies as designs.
@@ -121,7 +121,7 @@ def score_together(
         make_env: see `train_designs`.
         groups: C designs for each of P policies.
         policies: P policies.
-        seed: of tasks with random resets, from which the seeds of several episodes count up; the same for all designs.
+        seed: where tasks with random resets draw from; those of several episodes count up. The same for all designs.
 
     Returns:
         Scores whose arrays have the shape (P, C).
