@@ -154,7 +154,7 @@ class Job:
                 designs[bodies],
                 ppo,
                 run=place,
-                start_from=start,
+                initial=start,
                 progress=lambda state: tell(before + state.env_steps, state.row.get("score")),
                 should_stop=should_stop,
             )

@@ -30,7 +30,7 @@ _EXAMPLES = """examples:
   evogymcm tasks
   evogymcm train Walker-v0 --body Walk_Bot --run runs/first
   evogymcm watch --policy runs/first
-  evogymcm codesign BridgeWalker-v0 --arm invariant
+  evogymcm codesign BridgeWalker-v0 --material invariant --search
   evogymcm COMMAND --help    # all options of a command
   evogymcm --print-completion bash > ~/.local/share/bash-completion/completions/evogymcm"""
 

@@ -4,7 +4,6 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from math import isfinite
-from types import MappingProxyType
 from typing import Any, Required, TypedDict
 
 import numpy as np
@@ -68,7 +67,7 @@ class DesignSearch(ABC):
         attempts: int = 50,
         carries_stiffness: bool = False,
         weights: Sequence[float] = SAMPLE_WEIGHTS,
-        settings: Mapping[str, Any] = MappingProxyType({}),
+        settings: Mapping[str, Any] | None = None,
     ) -> None:
         rows, cols = (check_count("shape", side) for side in check_pair("shape", shape))
         self.shape, self.budget = (rows, cols), check_count("budget", budget)
@@ -87,7 +86,7 @@ class DesignSearch(ABC):
             "attempts": self.attempts,
             "carries_stiffness": carries_stiffness,
             "weights": list(self.weights),
-            **settings,
+            **(settings or {}),
         }
         self.n_designs = self.generation = 0
         self._rng = np.random.default_rng(seed)

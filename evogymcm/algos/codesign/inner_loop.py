@@ -57,7 +57,7 @@ def train_designs(
     ppo: BodyPPOConfig,
     *,
     run: RunFolder | None = None,
-    start_from: Sequence[Policy] | None = None,
+    initial: Sequence[Policy] | None = None,
     progress: Callable[[Progress], None] | None = None,
     should_stop: Callable[[], bool] | None = None,
 ) -> Trained:
@@ -68,7 +68,7 @@ def train_designs(
         designs: D designs.
         ppo: settings for one design. With `sharing="independent"` each has its own policy, with "shared" all have one.
         run: where to keep what a stopped training goes on from.
-        start_from: a policy for each design to start from, the same for all where they share one; None for fresh ones.
+        initial: a policy for each design to start from, the same for all where they share one; None for fresh ones.
         progress: see `train`.
         should_stop: see `train`.
 
@@ -79,9 +79,9 @@ def train_designs(
     """
     check_body_ppo(ppo)
     n = len(designs)
-    if start_from is not None and len(start_from) != n:
-        raise ValueError(f"start_from: got {len(start_from)} policies, expected one for each of {n} designs")
-    start = None if start_from is None else stack_policies(start_from, ppo.sharing)
+    if initial is not None and len(initial) != n:
+        raise ValueError(f"initial: got {len(initial)} policies, expected one for each of {n} designs")
+    start = None if initial is None else stack_policies(initial, ppo.sharing)
     trainer = Trainer(holding(make_env, designs), ppo.of_bodies(n))
     return _apart(trainer.train(run=run, progress=progress, should_stop=should_stop, initial=start), n)
 
@@ -97,7 +97,7 @@ def stack_policies(policies: Sequence[Policy], sharing: str) -> Policy:
     first = policies[0]
     if sharing == "shared":
         if not all(_is_same(first, policy) for policy in policies[1:]):
-            raise ValueError("start_from: got different policies, but a shared policy can start from one only")
+            raise ValueError("initial: got different policies, but a shared policy can start from one only")
         return first
     stacked = {name: stack_states([policy[name] for policy in policies]) for name in ("actor", "critic")}
     return {"form": first["form"] | {"copies": len(policies)}, **stacked}

@@ -111,7 +111,7 @@ class Codesign:
         return [individual.design.at(self.config.stiffness) for individual in individuals]
 
     def _learn(
-        self, training: Training, designs: list[Design], start_from: list[Policy] | None, spent: int = 0
+        self, training: Training, designs: list[Design], initial: list[Policy] | None, spent: int = 0
     ) -> Trained:
         """Trains designs together; `spent` env-steps of the phase have gone before."""
         folder = None
@@ -124,7 +124,7 @@ class Codesign:
             designs,
             training.ppo,
             run=folder,
-            start_from=start_from,
+            initial=initial,
             progress=lambda state: self._report(spent + state.env_steps),
             should_stop=self._is_stopped,
         )

@@ -105,14 +105,14 @@ def test_a_shared_policy_cannot_start_from_several():
     designs = [Design(cm.Body(text)) for text in ("HVH/S.R", "HHH/V.V")]
     apart = train_designs(make_env, designs, PPO).last
     shared = replace(PPO, sharing="shared")
-    with pytest.raises(ValueError, match="start_from: got different policies, but a shared policy can start from one"):
-        train_designs(make_env, designs, shared, start_from=apart)
-    with pytest.raises(ValueError, match="start_from: got 1 policies, expected one for each of 2 designs"):
-        train_designs(make_env, designs, shared, start_from=apart[:1])
+    with pytest.raises(ValueError, match="initial: got different policies, but a shared policy can start from one"):
+        train_designs(make_env, designs, shared, initial=apart)
+    with pytest.raises(ValueError, match="initial: got 1 policies, expected one for each of 2 designs"):
+        train_designs(make_env, designs, shared, initial=apart[:1])
     for score, given in ((score_alone, (designs, apart[:1])), (score_together, ([designs], apart))):
         with pytest.raises(ValueError, match=r"policies: got \d, expected"):
             score(make_env, *given)
-    assert train_designs(make_env, designs, shared, start_from=[apart[0], dict(apart[0])]).finished
+    assert train_designs(make_env, designs, shared, initial=[apart[0], dict(apart[0])]).finished
 
 
 def test_scores_do_not_depend_on_who_stands_beside_where_resets_are_random(zigzag):

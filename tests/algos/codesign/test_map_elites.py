@@ -1,13 +1,13 @@
 """MAP-Elites over designs, on an objective that needs no simulator."""
 
-import json
-import sys
+from functools import partial
 
 import numpy as np
 import pytest
 
 from evogymcm.algos.codesign import Design, MapElites, design_measures
 from evogymcm.body import Body
+from tests.algos.codesign.test_genetic import play as play_for
 
 SHAPE = (4, 4)
 
@@ -22,15 +22,7 @@ def voxels(individual):
     return -float(individual.design.body.n_voxels)
 
 
-def play(search, generations=10**9, fitness=voxels):
-    rows = []
-    for _ in range(generations):
-        if search.is_finished:
-            break
-        asked = search.ask()
-        search.tell({individual.index: fitness(individual) for individual in asked})
-        rows += [individual.record() for individual in asked]
-    return rows
+play = partial(play_for, fitness=voxels)
 
 
 def kind(search, individual):
@@ -119,23 +111,6 @@ def test_of_equals_the_first_stays(ribs):
     assert [elite.index for elite in search.elites] == [0]
 
 
-@pytest.mark.parametrize("is_asked", [False, True])
-def test_a_resumed_search_equals_an_uninterrupted_one(ribs, is_asked):
-    whole = MapElites(SHAPE, 80, 10, seed=3, carries_stiffness=True)
-    play(whole, 3)
-    for survivor in whole.survivors:
-        whole.update(survivor.index, stiffness=np.full(SHAPE, 0.5 + 0.01 * survivor.index), fitness=1.0)
-    if is_asked:
-        whole.ask()
-    state = json.loads(json.dumps(whole.state_dict(), allow_nan=False))
-    resumed = MapElites(SHAPE, 80, 10, seed=3, carries_stiffness=True)
-    resumed.load_state_dict(state)
-    assert resumed.elites == whole.elites
-    assert play(resumed) == play(whole)
-    assert resumed.state_dict() == whole.state_dict()
-    assert resumed.elites == whole.elites
-
-
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -149,9 +124,3 @@ def test_a_resumed_search_equals_an_uninterrupted_one(ribs, is_asked):
 def test_bad_arguments_are_refused(ribs, arguments, message):
     with pytest.raises(ValueError, match=message):
         MapElites(**({"shape": SHAPE, "budget": 40, "population": 10, "seed": 0} | arguments))
-
-
-def test_without_ribs_the_extra_is_named(monkeypatch):
-    monkeypatch.setitem(sys.modules, "ribs.archives", None)
-    with pytest.raises(ImportError, match=r"evogymcm\[qd\]"):
-        MapElites(SHAPE, 40, 10, seed=0)
