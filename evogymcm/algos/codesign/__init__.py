@@ -7,6 +7,7 @@ __getattr__, __dir__, __all__ = door(
     {
         "body_ppo": ["BodyPPOConfig"],
         "body_search": ["DesignSearch"],
+        "codesigning": ["codesign"],
         "config": ["CodesignConfig", "SearchConfig"],
         "cost": ["Cost", "cost_of"],
         "design": ["Design", "Individual", "mutate_design"],
@@ -18,7 +19,7 @@ __getattr__, __dir__, __all__ = door(
         "outcome": ["CodesignProgress", "CodesignResult"],
         "parallel": ["RayExecutor", "codesign_all"],
         "random_search": ["RandomSearch"],
-        "run": ["Codesign", "codesign"],
+        "run": ["Codesign"],
         "scoring": ["Scores", "score_alone"],
         "stiffness_proposals": ["perturb_stiffness"],
     },

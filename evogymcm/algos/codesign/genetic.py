@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from evogymcm._settings import check_count
-from evogymcm.algos.codesign.body_search import DesignSearch, SearchOptions
+from evogymcm.algos.codesign.body_search import BodySearchOptions, DesignSearch
 from evogymcm.algos.codesign.design import Individual
 
 __all__ = ["GeneticAlgorithm", "check_population", "survivor_count"]
@@ -70,7 +70,7 @@ class GeneticAlgorithm(DesignSearch):
         population: int,
         *,
         age_protection: int = 0,
-        **options: Unpack[SearchOptions],
+        **options: Unpack[BodySearchOptions],
     ) -> None:
         self.age_protection = check_count("age_protection", age_protection, 0)
         settings = {"age_protection": self.age_protection}

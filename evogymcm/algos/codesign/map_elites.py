@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from evogymcm._settings import check_count, check_number, check_pair
-from evogymcm.algos.codesign.body_search import DesignSearch, SearchOptions
+from evogymcm.algos.codesign.body_search import BodySearchOptions, DesignSearch
 from evogymcm.algos.codesign.design import Design, Individual
 from evogymcm.algos.codesign.stiffness_proposals import perturb_stiffness
 from evogymcm.body import STIFFNESS_HIGH, STIFFNESS_LOW
@@ -62,7 +62,7 @@ class MapElites(DesignSearch):
         dims: tuple[int, int] = (10, 10),
         probability: float = 0.15,
         sigma: float = 0.2,
-        **options: Unpack[SearchOptions],
+        **options: Unpack[BodySearchOptions],
     ) -> None:
         try:
             from ribs.archives import GridArchive
