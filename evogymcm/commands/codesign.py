@@ -1,21 +1,22 @@
 """`evogymcm codesign`: evolve bodies together with their material and control, kept in a run folder."""
 
-import argparse
-import sys
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
-from evogymcm.algos.runs.older import of_arm
+import tyro
+from tyro.conf import arg
+
+from evogymcm.algos.codesign.config import CodesignConfig, SearchConfig
 from evogymcm.commands._errors import checking_arguments
 from evogymcm.commands._options import INTERRUPTED, Bar, how_to_resume, open_run, write_stiffness
 
 if TYPE_CHECKING:
-    from evogymcm.algos.codesign import CodesignConfig, CodesignProgress, CodesignResult
+    from evogymcm.algos.codesign import CodesignProgress, CodesignResult
     from evogymcm.algos.runs import RunFolder
 
-_DESCRIPTION = """Evolves bodies together with their material and control, and keeps all of it in a run folder.
+DESCRIPTION = """Evolves bodies together with their material and control, and keeps all of it in a run folder.
 
 materials:
   --material reactive                     bodies evolve, and their policies set stiffness
@@ -32,109 +33,64 @@ examples:
   evogymcm codesign Walker-v0 --material invariant --rungs 0.25 0.5 --keep 0.5 0.5 --ppo.total-steps 200000"""
 
 
-def add_parser(subparsers: Any) -> None:
-    """Adds the command to a parser; its options are tyro's, see `options`."""
-    parser = subparsers.add_parser("codesign", help="evolve bodies, materials and control together", add_help=False)
-    parser.set_defaults(run=run, takes_rest=True)
+@dataclass(frozen=True)
+class Settings(CodesignConfig):
+    """The same with the task in front, and without the search, which is optional as a whole."""
+
+    task: Annotated[tyro.conf.Positional[str], arg(metavar="TASK")] = tyro.MISSING
+    search: Annotated[SearchConfig | None, tyro.conf.Suppress] = None
 
 
-def options() -> type:
-    """Returns the dataclass of the command line."""
-    import tyro
-    from tyro.conf import arg
-
-    from evogymcm.algos.codesign import CodesignConfig, SearchConfig
-
-    @dataclass(frozen=True)
-    class Settings(CodesignConfig):  # with the task in front, and the search beside it
-        task: Annotated[tyro.conf.Positional[str], arg(metavar="TASK")] = tyro.MISSING
-        search: Annotated[SearchConfig | None, tyro.conf.Suppress] = None
-
-    Settings.__doc__ = CodesignConfig.__doc__  # where tyro finds what the fields mean
-
-    @dataclass(frozen=True)
-    class CodesignOptions:
-        """Options of the command.
-
-        Attributes:
-            config: settings of the run.
-            searches: search the survivors' stiffness fields, and fine-tune after it.
-            search: settings of that search.
-            run: folder of the run.
-            resume: go on with the run in the folder.
-            overwrite: replace the run in the folder.
-        """
-
-        config: Annotated[Settings, arg(name="")]
-        searches: Annotated[bool, arg(name="search")] = False
-        search: SearchConfig = field(default_factory=SearchConfig)
-        run: Annotated[
-            Path | None, arg(metavar="FOLDER", help_behavior_hint="(default: runs/TASK-codesign-MATERIAL-seedSEED)")
-        ] = None
-        resume: bool = False
-        overwrite: bool = False
-
-    return CodesignOptions
+Settings.__doc__ = CodesignConfig.__doc__  # where tyro finds what the fields mean
 
 
-def parse(arguments: Sequence[str]) -> "tuple[CodesignConfig, Any]":
-    """Returns the settings of the run, and all options."""
-    import tyro
+@dataclass(frozen=True)
+class Options:
+    """Options of the command.
 
-    from evogymcm.algos.codesign import CodesignConfig
-
-    flags = (tyro.conf.FlagCreatePairsOff,)
-    given: Any = tyro.cli(options(), prog="evogymcm codesign", description=_DESCRIPTION, args=arguments, config=flags)
-    settings = {item.name: getattr(given.config, item.name) for item in fields(CodesignConfig)}
-    if any(argument.startswith("--search") for argument in arguments):
-        settings["search"] = given.search
-    return CodesignConfig(**settings), given
-
-
-def in_present_words(arguments: Sequence[str]) -> list[str]:
-    """Returns the arguments with those of earlier versions, `--arm` and `--prescribed`, as they are written today.
-
-    Raises:
-        ValueError: There was no such arm.
+    Attributes:
+        config: settings of the run.
+        has_search: search the survivors' stiffness fields, and fine-tune after it.
+        search: settings of that search.
+        run: folder of the run.
+        resume: go on with the run in the folder.
+        overwrite: replace the run in the folder.
     """
-    rest = [part for item in arguments for part in (item.split("=", 1) if item.startswith("--") else [item])]
-    old: dict[str, str] = {}
-    for name in ("arm", "prescribed"):
-        while f"--{name}" in rest:
-            place = rest.index(f"--{name}")
-            old[name] = "".join(rest[place + 1 : place + 2])
-            del rest[place : place + 2]
-    if not old:
-        return list(arguments)
-    now = of_arm(old.get("arm", "reactive"), old.get("prescribed", "1.0"), ["--search"])
-    words = ["--material", now["material"]]
-    words += now["search"] or ([] if now["stiffness"] == 1.0 else ["--stiffness", now["stiffness"]])
-    if not now["search"]:  # whose options had no effect then
-        for place in [i for i, item in enumerate(rest) if item.startswith("--search.")][::-1]:
-            del rest[place : place + 2]
-    said = " ".join(f"--{name} {value}" for name, value in old.items())
-    print(f"evogymcm: {said} is of before and will go; write {' '.join(words)}", file=sys.stderr)
-    return [*rest, *words]
+
+    config: Annotated[Settings, arg(name="")]
+    has_search: Annotated[bool, arg(name="search")] = False
+    search: SearchConfig = field(default_factory=SearchConfig)
+    run: Annotated[
+        Path | None, arg(metavar="FOLDER", help_behavior_hint="(default: runs/TASK-codesign-MATERIAL-seedSEED)")
+    ] = None
+    resume: bool = False
+    overwrite: bool = False
 
 
-def run(args: argparse.Namespace) -> int:
+def config_of(options: Options, arguments: Sequence[str]) -> CodesignConfig:
+    """Returns the settings of the run, with a search where any of its options is among the arguments."""
+    settings = {item.name: getattr(options.config, item.name) for item in fields(CodesignConfig)}
+    has_search = any(argument.startswith("--search") for argument in arguments)
+    return CodesignConfig(**settings | {"search": options.search if has_search else None})
+
+
+def run(options: Options, arguments: Sequence[str]) -> int:
     """Evolves and returns the exit status.
 
     Raises:
         UsageError: An argument cannot be used, or an optional package is missing.
     """
-    with checking_arguments():
-        arguments = in_present_words(args.rest)
-        config, given = parse(arguments)
-        from evogymcm.algos.codesign.start import check_start
+    from evogymcm.algos.codesign.start import check_start
 
+    with checking_arguments():
+        config = config_of(options, arguments)
         check_start(config)
-        path = given.run or Path("runs") / f"{Path(config.task).stem}-codesign-{config.material}-seed{config.seed}"
-        folder = open_run(path, asdict(config), resume=given.resume, overwrite=given.overwrite)
+        path = options.run or Path("runs") / f"{Path(config.task).stem}-codesign-{config.material}-seed{config.seed}"
+        folder = open_run(path, asdict(config), resume=options.resume, overwrite=options.overwrite)
     return _codesign(config, folder, arguments)
 
 
-def _codesign(config: "CodesignConfig", folder: "RunFolder", arguments: Sequence[str]) -> int:
+def _codesign(config: CodesignConfig, folder: "RunFolder", arguments: Sequence[str]) -> int:
     from evogymcm.algos.codesign import codesign, cost_of
     from evogymcm.algos.learning import keep_freed_memory
 
@@ -165,7 +121,7 @@ def _show(bar: Bar, state: "CodesignProgress") -> None:
     bar.show(state.env_steps, numbers)
 
 
-def _print_best(config: "CodesignConfig", result: "CodesignResult", path: Path) -> None:
+def _print_best(config: CodesignConfig, result: "CodesignResult", path: Path) -> None:
     """Prints the best design with its score, had again in a fresh world."""
     import numpy as np
 

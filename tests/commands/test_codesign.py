@@ -9,13 +9,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import tyro
 
 from evogymcm.__main__ import main
 from evogymcm.algos import BodyPPOConfig
 from evogymcm.algos.codesign import CodesignConfig, SearchConfig, codesign, cost_of
 from evogymcm.algos.codesign.parallel import codesign_in
 from evogymcm.commands import _options
-from evogymcm.commands.codesign import in_present_words, parse
+from evogymcm.commands._older import in_present_words
+from evogymcm.commands.codesign import Options, config_of
 from tests.commands.tools import refused
 
 PPO = ["--ppo.total-steps", "64", "--ppo.num-worlds", "4", "--ppo.rollout-steps", "8", "--ppo.hidden", "8"]
@@ -122,7 +124,7 @@ def test_the_same_wish_gives_the_same_settings(sprint, tmp_path):
             ),
         ),
     ):
-        assert parse([sprint, *arguments])[0] == config
+        assert parse([sprint, *arguments]) == config
     own = BodyPPOConfig(total_steps=50_000)  # a wish that says nothing of worlds and sharing
     assert (own.num_worlds, own.minibatch, own.eval_interval, own.sharing) == (16, 128, 10_000, "independent")
     three = own.of_bodies(3)
@@ -140,6 +142,10 @@ def test_the_same_wish_gives_the_same_settings(sprint, tmp_path):
     assert codesign_in(tmp_path / "run", config).finished
 
 
+def parse(arguments):
+    return config_of(tyro.cli(Options, args=arguments, config=(tyro.conf.FlagCreatePairsOff,)), arguments)
+
+
 def test_words_of_before_are_told_what_they_are_now(capsys):
     for old, now in (
         ("--arm reactive --search.rounds 2", "--material reactive"),
@@ -148,7 +154,7 @@ def test_words_of_before_are_told_what_they_are_now(capsys):
         ("--seed 3 --arm invariant --search.rounds 2", "--material invariant --search --search.rounds 2 --seed 3"),
     ):
         arguments = in_present_words(["Walker-v0", *old.split()])
-        assert parse(arguments)[0] == parse(["Walker-v0", *now.split()])[0]
+        assert parse(arguments) == parse(["Walker-v0", *now.split()])
         assert now.split(" --search.")[0] in capsys.readouterr().err
     assert in_present_words(["Walker-v0", *SEARCHING]) == ["Walker-v0", *SEARCHING]
     assert not capsys.readouterr().err
