@@ -114,7 +114,7 @@ def bash_script(tmp_path_factory):
     [
         ("evogymcm wat", "watch"),
         ("evogymcm train Walker-v0 --entr", "--entropy-weight"),
-        ("evogymcm codesign Walker-v0 --arm inv", "invariant"),
+        ("evogymcm codesign Walker-v0 --material inv", "invariant"),
         ("evogymcm codesign Walker-v0 --search.acc", "--search.acceptance"),
         ("evogymcm watch Walker-v0 --view st", "stiffness"),
         ("evogymcm tasks --l", "--long"),
