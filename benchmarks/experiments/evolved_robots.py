@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -16,7 +17,11 @@ from evogymcm.algos.runs import RunFolder, RunRecord
 
 __all__ = ["ARMS", "SIZES_B", "SIZES_C", "CodesignJob", "EvolvedRobots"]
 
-ARMS = ("fixed", "reactive", "invariant")
+ARMS: Mapping[str, Mapping[str, Any]] = {  # -> what differs from the settings of a run with a search
+    "fixed": {"search": None},
+    "reactive": {"material": "reactive", "search": None},
+    "invariant": {},
+}
 
 
 @dataclass(frozen=True)
@@ -56,14 +61,18 @@ class EvolvedRobots(Comparison):
     of whole runs, which end within a phase of each other.
 
     Attributes:
-        codesign: settings of each run; task, seed and material come from the fields above.
+        codesign: settings of each run with a search of stiffness; task, seed and arm come from the fields above.
     """  # noqa: D205
 
-    codesign: CodesignConfig = field(default_factory=CodesignConfig)
+    codesign: CodesignConfig = field(
+        default_factory=lambda: CodesignConfig(material="invariant", search=SearchConfig())
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name, ours in (("task", "tasks"), ("arm", "arms"), ("seed", "seeds")):
+        if not self.codesign.search:
+            raise ValueError("codesign.search: got None, here arms decide whether there is one")
+        for name, ours in (("task", "tasks"), ("seed", "seeds")):
             given = getattr(self.codesign, name)
             if given != getattr(CodesignConfig(), name):
                 raise ValueError(f"codesign.{name}: got {given!r}, here it comes from {ours}")
@@ -71,7 +80,7 @@ class EvolvedRobots(Comparison):
     @property
     def allowed_arms(self) -> tuple[str, ...]:
         """All arms that there are."""
-        return ARMS
+        return tuple(ARMS)
 
     @property
     def steps_per_run(self) -> int:
@@ -81,7 +90,7 @@ class EvolvedRobots(Comparison):
 
     def job(self, task: str, arm: str, seed: int) -> CodesignJob:
         """Returns one run."""
-        return CodesignJob(arm, replace(self.codesign, task=task, seed=seed, arm=arm))
+        return CodesignJob(arm, replace(self.codesign, task=task, seed=seed, **ARMS[arm]))
 
     def summarise(self, runs: Sequence[Record]) -> list[Record]:
         """Returns one row a task and arm: best fitness over the seeds, where the shortest run of the task ended."""
@@ -137,6 +146,7 @@ def _sizes(arms: tuple[str, ...], quick: str, small: tuple[str, ...]) -> Mapping
         budget=1000,
         max_env_steps=600_000,
         finetune_steps=4_096,
+        material="invariant",
         search=SearchConfig(),
         ppo=BodyPPOConfig(total_steps=25_000),
     )
