@@ -2,7 +2,7 @@
 
 import pickle
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,12 +11,11 @@ from evogymcm.report.runs import NOT_RECORDED, CodesignRun, TrainingRun, read_ru
 
 if TYPE_CHECKING:  # numba and torch are loaded when a command runs, not for its help
     import numpy as np
+    from tensordict.nn import TensorDictModuleBase
 
     from evogymcm.algos.codesign.design import Design
     from evogymcm.body import Body
     from evogymcm.envs.core import TaskEngine
-
-    Control = Callable[[TaskEngine], tuple[np.ndarray, np.ndarray | None]]
 
 
 @dataclass(frozen=True)
@@ -98,18 +97,13 @@ def _design(row: Mapping[str, Any], config: Mapping[str, Any]) -> "Design":
     return Design.from_record(row).in_arm(config["arm"], config["prescribed"])
 
 
-def control_of(policy: Mapping[str, Any], engine: "TaskEngine") -> "Control":
-    """Returns the policy as deterministic control of the engine's worlds.
+def module_of(policy: Mapping[str, Any], engine: "TaskEngine") -> "TensorDictModuleBase":
+    """Returns the policy as a module that acts in the engine's worlds.
 
     Raises:
         ValueError: It was trained for other observations, or for another number of bodies.
     """
-    import numpy as np
-    import torch
-    from tensordict import TensorDict
-
     from evogymcm.algos import PerDesign, load_actor
-    from evogymcm.algos.learning.threads import exploration
 
     form, copies = policy["form"], policy["form"].get("copies")
     if form["network"] == "mlp":
@@ -126,21 +120,4 @@ def control_of(policy: Mapping[str, Any], engine: "TaskEngine") -> "Control":
         raise ValueError(f"policy: the run has one for each of {copies} bodies, got {engine.num_designs} bodies")
     actor = load_actor(policy)
     actor.columns = engine.grid_shape[1]
-    module = actor if copies is None else PerDesign(actor, copies)
-
-    def control(engine: "TaskEngine") -> "tuple[np.ndarray, np.ndarray | None]":
-        seen = {
-            "voxels": engine.voxels,
-            "types": engine.types,
-            "task": engine.features.astype(np.float32),
-            "occupancy": engine.occupancy,
-            "actuators": engine.actuators,
-        }
-        if engine.flat is not None:
-            seen["observation"] = engine.flat
-        td = TensorDict({key: torch.from_numpy(value) for key, value in seen.items()}, [engine.num_worlds])
-        with torch.no_grad(), exploration(False):
-            action = module(td)["action"]
-        return action["actuation"].numpy(), action["stiffness"].numpy() if "stiffness" in actor.ranges else None
-
-    return control
+    return actor if copies is None else PerDesign(actor, copies)

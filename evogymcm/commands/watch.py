@@ -11,12 +11,14 @@ from evogymcm.commands._options import choose_task, default_body, read_stiffness
 
 if TYPE_CHECKING:  # numba is loaded when the command runs, not for its help
     import numpy as np
+    from tensordict.nn import TensorDictModuleBase
 
-    from evogymcm.commands._policies import Control
+    from evogymcm.algos.learning.playing import Gait
     from evogymcm.envs.core import TaskEngine
     from evogymcm.envs.render.renderer import Renderer
 
 _MATERIALS = ("reactive", "invariant")
+_SEED = 0  # of tasks that draw at random
 _EXAMPLES = """examples:
   evogymcm watch Walker-v0 --body Walk_Bot
   evogymcm watch Walker-v0 --body HHH/V.V --material invariant --stiffness 2,2,2/0.5,1,0.5 --view stiffness
@@ -91,20 +93,20 @@ def run(args: argparse.Namespace) -> int:
                 raise ValueError(f"{name}: got {getattr(args, name)}, at least 1 is needed")
         from evogymcm.envs.render.renderer import Renderer
 
-        engine, control = _engine(args)
+        engine, policy = _engine(args)
         renderer = Renderer(engine, args.width, args.height, args.view)
         out = _out(args.out, engine.task.id)
     steps = args.steps or engine.task.time_limit
-    _show(_pictures(engine, control, renderer, steps, args.every), engine, out, args.every)
+    _show(_pictures(engine, policy, renderer, steps, args.every), engine, out, args.every)
     for world, body in enumerate(engine.bodies):
         print(f"{body.text}: {engine.length[world]} env-steps, score {engine.score[world]:.3f}")
     return 0
 
 
-def _engine(args: argparse.Namespace) -> "tuple[TaskEngine, Control]":
+def _engine(args: argparse.Namespace) -> "tuple[TaskEngine, TensorDictModuleBase | Gait]":
     """Returns the worlds and what drives them."""
     from evogymcm.body import as_body
-    from evogymcm.commands._policies import control_of, load_trained
+    from evogymcm.commands._policies import load_trained, module_of
     from evogymcm.envs.core import TaskEngine
     from evogymcm.envs.gaits import sine_gait
 
@@ -112,7 +114,7 @@ def _engine(args: argparse.Namespace) -> "tuple[TaskEngine, Control]":
         task = choose_task(args.task, args.world)
         shown = [as_body(body) for body in args.body or [default_body(task)]]
         fields, material = read_stiffness(args.stiffness, shown), args.material or "reactive"
-        return TaskEngine(task, shown, material=material, stiffness=fields, seed=0, with_voxels=False), sine_gait
+        return TaskEngine(task, shown, material=material, stiffness=fields, seed=_SEED, with_voxels=False), sine_gait
     trained = load_trained(args.policy)
     if args.material not in (None, trained.material):
         raise ValueError(f"material: got {args.material!r}, the policy was trained with {trained.material!r}")
@@ -127,23 +129,20 @@ def _engine(args: argparse.Namespace) -> "tuple[TaskEngine, Control]":
     if fields is None and not args.body:
         fields = trained.stiffness
     material, edge_rule = trained.material, trained.edge_rule
-    engine = TaskEngine(task, bodies, material=material, stiffness=fields, edge_rule=edge_rule, seed=0)
-    return engine, control_of(trained.policy, engine)
+    engine = TaskEngine(task, bodies, material=material, stiffness=fields, edge_rule=edge_rule, seed=_SEED)
+    return engine, module_of(trained.policy, engine)
 
 
 def _pictures(
-    engine: "TaskEngine", control: "Control", renderer: "Renderer", steps: int, every: int
+    engine: "TaskEngine", policy: "TensorDictModuleBase | Gait", renderer: "Renderer", steps: int, every: int
 ) -> "Iterator[np.ndarray]":
     """Yields pictures until the steps are done or all episodes have ended."""
-    going = ~(engine.terminated | engine.truncated)
-    for step in range(steps + 1):
-        is_last = step == steps or not going.any()
-        if step % every == 0 or is_last:
+    from evogymcm.algos.learning import play
+
+    engine.set_seed(_SEED)  # playing begins with a reset, which draws what the engine has begun with
+    for now in play(policy, engine, steps=steps):
+        if now.step % every == 0 or now.step == steps or not now.running.any():
             yield renderer.frame() if engine.num_worlds == 1 else renderer.grid()
-        if is_last:
-            return
-        engine.step(*control(engine), going)
-        going = ~(engine.terminated | engine.truncated)
 
 
 def _out(given: Path | None, task: str) -> Path | None:

@@ -232,23 +232,27 @@ class TaskEngine:
         Args:
             actuation: (N, V) actuation, clipped to [0.6, 1.6]; cells without an actuator have no effect.
             stiffness: (N, V) stiffness, clipped to [0.5, 2]: needed in the reactive setting, not allowed otherwise.
-            mask: (N,) bool, the worlds to advance; all by default. The others keep everything.
+            mask: (N,) bool, the worlds to advance; all by default. The others keep everything, and nothing is asked of
+                their actions.
 
         Raises:
             ValueError: For another shape, or NaN at a voxel that uses the number.
         """
-        given = checks.checked_action("actuation", actuation, self.actuators, ACTUATION_LOW, ACTUATION_HIGH)
+        actuators, occupancy = self.actuators, self.occupancy
+        if mask is not None:
+            mask = checks.checked_mask(mask, self.num_worlds)
+            actuators, occupancy = actuators & mask[:, None], occupancy & mask[:, None]
+        given = checks.checked_action("actuation", actuation, actuators, ACTUATION_LOW, ACTUATION_HIGH)
         if (stiffness is None) == (self.material == "reactive"):
             needs = "needs stiffness in every action" if stiffness is None else "takes no stiffness in its actions"
             raise ValueError(f"stiffness: the {self.material} setting {needs}")
         factors = None
         if stiffness is not None:
-            factors = checks.checked_action("stiffness", stiffness, self.occupancy, STIFFNESS_LOW, STIFFNESS_HIGH)
+            factors = checks.checked_action("stiffness", stiffness, occupancy, STIFFNESS_LOW, STIFFNESS_HIGH)
         if mask is None:
             self.actuation = given
             self.stiffness = self.stiffness if factors is None else factors
         else:
-            mask = checks.checked_mask(mask, self.num_worlds)
             self.actuation[mask] = given[mask]
             if factors is not None:
                 self.stiffness[mask] = factors[mask]

@@ -14,7 +14,7 @@ from evogymcm.report.runs import CodesignRun, Row, TrainingRun
 from evogymcm.report.sources import Arm
 from evogymcm.report.tables import tasks_of
 
-__all__ = ["Scene", "choose_scenes", "gif_uri", "play"]
+__all__ = ["Scene", "animate", "choose_scenes", "gif_uri"]
 
 MOST, LARGEST = 4, 400_000  # animations; bytes of a GIF
 STEPS, EVERY = 250, 4  # env-steps that are shown, and of which every fourth is drawn
@@ -74,7 +74,7 @@ def scene_of(run: TrainingRun | CodesignRun, arm: str) -> Scene | str:
     return Scene(run, arm, policy, best) if policy.is_file() else f"{run.name}: there is no {policy.name}."
 
 
-def play(scene: Scene) -> tuple[str, str]:
+def animate(scene: Scene) -> tuple[str, str]:
     """Returns the GIF as a data URI, and its caption.
 
     Raises:
@@ -122,23 +122,11 @@ def _stage(scene: Scene) -> tuple[Any, Any, str]:
 
 def _frames(env: Any, actor: Any) -> list[np.ndarray]:
     """Returns pictures of the episode's first env-steps under deterministic actions."""
-    import torch
+    from evogymcm.algos.learning import play
+    from evogymcm.envs import Renderer
 
-    from evogymcm.algos.learning.threads import exploration
-    from evogymcm.envs.render.renderer import Renderer
-
-    renderer = Renderer(env.engine, WIDTH, HEIGHT)
-    with torch.no_grad(), exploration(False):
-        state = env.reset()
-        frames = [renderer.frame()]
-        for step in range(1, STEPS + 1):
-            state = env.step(actor(state))["next"]
-            is_done = bool(state["done"].item())
-            if step % EVERY == 0 or is_done:
-                frames.append(renderer.frame())
-            if is_done:
-                break
-    return frames
+    renderer, episode = Renderer(env, WIDTH, HEIGHT), play(actor, env, steps=STEPS)
+    return [renderer.frame() for now in episode if now.step % EVERY == 0 or not now.running.any()]
 
 
 def gif_uri(frames: Sequence[np.ndarray], largest: int = LARGEST) -> str:

@@ -11,6 +11,7 @@ __getattr__, __dir__, __all__ = door(
         "distributions": ["MaskedClippedNormal", "VoxelActions"],
         "evaluation": ["Evaluation", "evaluate"],
         "memory": ["keep_freed_memory"],
+        "playing": ["Episodes", "play"],
         "ppo": ["PPOLearner"],
         "stacking": ["PerDesign", "by_design", "by_world", "stack_states", "take_state"],
         "trainer": ["EnvFactory", "Trainer"],
