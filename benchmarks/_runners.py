@@ -7,7 +7,7 @@ takes random actions and starts ended episodes anew, and all of that counts.
 import json
 import subprocess
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import cycle
 from pathlib import Path
@@ -36,6 +36,11 @@ class Workload:
     threads: int
     material: str
     seed: int = 0
+
+    def make(self, kind: Callable[..., Any]) -> Any:
+        """Returns an engine, or another environment that takes what an engine does."""
+        options = {"material": self.material, "num_threads": self.threads, "seed": self.seed}
+        return kind(self.task, list(self.bodies), self.worlds, **options)
 
 
 class Runner:
@@ -71,14 +76,7 @@ def _random_actions(workload: Workload, shape: tuple[int, ...]) -> Any:
 
 class _Core(Runner):
     def __init__(self, workload: Workload) -> None:
-        self.engine = TaskEngine(
-            workload.task,
-            list(workload.bodies),
-            workload.worlds,
-            material=workload.material,
-            num_threads=workload.threads,
-            seed=workload.seed,
-        )
+        self.engine = workload.make(TaskEngine)
         self.actions = _random_actions(workload, self.engine.occupancy.shape)
         self.steps_at_once = workload.worlds
 
@@ -299,14 +297,7 @@ def _run_batches(runner: Runner, seconds: float) -> float:
 def _torchrl_env(workload: Workload) -> Any:
     from evogymcm.envs import SoftRobotEnv
 
-    return SoftRobotEnv(
-        workload.task,
-        list(workload.bodies),
-        workload.worlds,
-        material=workload.material,
-        num_threads=workload.threads,
-        seed=workload.seed,
-    )
+    return workload.make(SoftRobotEnv)
 
 
 _CLASSES = dict(

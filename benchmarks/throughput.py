@@ -18,9 +18,9 @@ from typing import Any, Literal
 
 import numpy as np
 import tyro
-from _machine import commit, machine, versions
 from _runners import DOORS, EvoGym, Runner, Subprocesses, Workload, make_runner
 
+from evogymcm.algos.runs import find_origin
 from evogymcm.body import as_body, sample_body
 
 STANDARD_BODY = "HHHHH/HHHHH/HH.HH/VV.VV/VV.VV"
@@ -196,7 +196,7 @@ def progress(text: str) -> None:
 
 def main(options: Options) -> None:
     """Measures the cases, and prints a row for each."""
-    origin = {"machine": machine(), "versions": versions(), "commit": commit()}
+    origin = find_origin()
     progress(f"{origin['machine']['cpu']}, {origin['machine']['cores']} cores")
     for case in cases(options):
         workload = case.workload

@@ -19,12 +19,12 @@ from pathlib import Path
 from typing import Any, Literal
 
 import tyro
-from _machine import commit, machine, versions
 from _runners import EvoGym, Runner
 from throughput import STANDARD_BODY, in_turn, progress
 
 from evogymcm.algos import PPOConfig, keep_freed_memory
 from evogymcm.algos.learning import Trainer
+from evogymcm.algos.runs import find_origin
 from evogymcm.body import Body, as_body
 from evogymcm.envs import SoftRobotEnv
 
@@ -206,7 +206,7 @@ def table_line(row: dict[str, Any]) -> str:
 def main(options: Options) -> None:
     """Measures the settings, and prints a row for each."""
     keep_freed_memory()  # as `evogymcm train` does
-    origin = {"machine": machine(), "versions": versions(), "commit": commit()}
+    origin = find_origin()
     progress(f"{origin['machine']['cpu']}, {origin['machine']['cores']} cores")
     for material in options.materials:
         progress(f"{options.task}, {material}, {options.ppo.num_worlds} worlds")

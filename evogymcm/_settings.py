@@ -1,13 +1,59 @@
 """Checks of settings. Each returns the value as Python has it, or says what was given and what is allowed."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import fields
 from numbers import Real
-from typing import Any
+from types import NoneType, UnionType
+from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 
-__all__ = ["check_choice", "check_count", "check_flag", "check_number", "check_numbers", "check_pair"]
+__all__ = [
+    "EdgeRule",
+    "Material",
+    "check_choice",
+    "check_count",
+    "check_fields",
+    "check_flag",
+    "check_number",
+    "check_numbers",
+    "check_pair",
+]
+
+# What several settings allow, for type checkers, the command line and the checks alike.
+Material = Literal["invariant", "reactive"]
+EdgeRule = Literal["mean_factor", "mean_stiffness"]
+
+
+def check_fields(config: Any, bounds: Mapping[str, Mapping[str, Any]]) -> None:
+    """Sets the fields of a frozen dataclass to their values as Python has them, each by its type.
+
+    Texts that are one of several, flags, whole and other numbers are checked, and may be None where the type says so;
+    fields of other types are left as they are.
+
+    Args:
+        config: The dataclass, in its `__post_init__`.
+        bounds: By field, what `check_count` or `check_number` takes; a count is at least 1 by default.
+
+    Raises:
+        ValueError: A value is of the wrong kind or out of range.
+    """
+    types = get_type_hints(type(config))
+    for field in fields(config):
+        value, kind = getattr(config, field.name), types[field.name]
+        allowed = get_args(kind) if get_origin(kind) in (Union, UnionType) else (kind,)
+        checks: dict[Any, Callable[..., Any]] = {bool: check_flag, int: check_count, float: check_number}
+        known = [one for one in allowed if one in checks or get_origin(one) is Literal]
+        is_other = len(known) < len(set(allowed) - {NoneType}) and not isinstance(value, Real)
+        if is_other or (value is None and NoneType in allowed):
+            continue
+        for one in known:
+            if one in checks:
+                value = checks[one](field.name, value, **bounds.get(field.name, {}))
+            else:
+                value = check_choice(field.name, value, get_args(one))
+        object.__setattr__(config, field.name, value)
 
 
 def check_count(name: str, value: Any, low: int = 1, high: int | None = None) -> int:

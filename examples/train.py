@@ -2,7 +2,7 @@
 
 from functools import partial
 
-from evogymcm.algos import PPOConfig, Progress, train
+from evogymcm.algos import PPOConfig, Progress, Trainer
 from evogymcm.envs import SoftRobotEnv
 
 BODY = "HHHHH/HHHHH/HH.HH/VV.VV/VV.VV"  # rows of voxels: H and V actuators, S soft, R rigid, '.' empty
@@ -19,7 +19,7 @@ def main(total_steps: int = 200_000) -> None:
     for material in ("invariant", "reactive"):
         print(material)
         make_env = partial(SoftRobotEnv, "Walker-v0", bodies=BODY, material=material)
-        result = train(make_env, config, progress=show)
+        result = Trainer(make_env, config).train(progress=show)
         if result.final is not None:  # None where the run was stopped with Ctrl-C
             score, ceiling = result.final.score[0], result.final.ceiling[0]
             print(f"  score {score:.3f} of at most {ceiling:.2f}, {result.seconds:.0f} s")

@@ -16,3 +16,15 @@ def small_batches_pay(monkeypatch):
     from evogymcm.sim import _threads
 
     monkeypatch.setattr(_threads, "_PAYS", 1)
+
+
+@pytest.fixture
+def sprint(tmp_path, monkeypatch):
+    """The task's id, while it is registered; runs go to a folder of the test's own."""
+    from tests.registries import Sprint, registered  # torch comes with it, after what is set above
+
+    monkeypatch.chdir(tmp_path)
+    observes = ("velocity", "orientation", "relative")
+    task = Sprint("Sprint-v0", world="Walker-v0", spawn=(1, 1), time_limit=12, observes=observes)
+    with registered(task) as name:
+        yield name

@@ -22,8 +22,7 @@ from evogymcm.commands._options import (
 )
 
 if TYPE_CHECKING:
-    from evogymcm.algos import PPOConfig, Progress, RunFolder, TrainResult
-    from evogymcm.algos.learning.trainer import EnvFactory
+    from evogymcm.algos import EnvFactory, PPOConfig, Progress, RunFolder, TrainResult
 
 _DESCRIPTION = """Trains a policy with PPO and keeps it in a run folder.
 

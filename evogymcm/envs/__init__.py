@@ -17,7 +17,7 @@ __getattr__, __dir__, __all__ = door(
         "render.video": ["write_picture", "write_video"],
         "sb3": ["SB3VecEnv"],
         "task": ["Snapshot", "Task", "Window"],
-        "tasks": ["as_task", "register_task"],
+        "tasks": ["as_task"],
         "terrain": ["walking_task"],
         "torchrl": ["SoftRobotEnv"],
     },

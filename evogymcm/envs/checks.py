@@ -174,19 +174,6 @@ def checked_seeds(seed: int | Sequence[int | None] | None, n: int) -> Sequence[i
     return seeds
 
 
-def checked_action(name: str, values: Any, used: np.ndarray, low: float, high: float) -> np.ndarray:
-    """Returns the action clipped to its range, and 1 where it is not used; ValueError for other shapes, and for NaN."""
-    values = np.asarray(values, np.float64)
-    if values.shape != used.shape:
-        raise ValueError(f"{name}: got shape {values.shape}, expected (worlds, cells) = {used.shape}")
-    values = np.where(used, values, 1.0)
-    np.maximum(values, low, out=values)  # np.clip takes three times as long for one world
-    np.minimum(values, high, out=values)
-    if np.isnan(values.sum()):
-        raise ValueError(f"{name}: got NaN in world {int(np.isnan(values).any(1).argmax())}")
-    return values
-
-
 def _rows(name: str, values: Any, n: int, kind: str) -> np.ndarray:
     """Returns values as an array of one number (or bool) a world."""
     result = np.asarray(values)

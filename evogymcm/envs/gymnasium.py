@@ -16,6 +16,7 @@ from gymnasium.vector.utils import batch_space
 
 from evogymcm.body import Body, as_body
 from evogymcm.envs._per_world import PerWorld, VectorWorld
+from evogymcm.envs.actions import ActionGrid
 from evogymcm.envs.core import TaskEngine
 from evogymcm.envs.dealing import BodySpec, as_bodies
 from evogymcm.envs.registration import Described
@@ -41,31 +42,6 @@ def _single_spaces(engine: TaskEngine) -> tuple[spaces.Box, spaces.Box]:
         high = np.concatenate([high, np.full(n_voxels, STIFFNESS_HIGH)])
     observation = spaces.Box(-_NOMINAL, _NOMINAL, (flat.shape[1],), np.float64)
     return observation, spaces.Box(low, high, dtype=np.float64)
-
-
-class _ActionGrid:
-    """Puts flat actions of N worlds on the padded grid."""
-
-    def __init__(self, engine: TaskEngine, n_numbers: int) -> None:
-        self._shape = (engine.num_worlds, n_numbers)
-        self._actuators = np.flatnonzero(engine.actuators[0])
-        self._voxels = np.flatnonzero(engine.occupancy[0])
-        self._grid_size = engine.occupancy.shape
-        self._is_reactive = engine.material == "reactive"
-
-    def spread(self, actions: Any) -> tuple[np.ndarray, np.ndarray | None]:
-        """Returns (N, V) actuation and stiffness; ValueError for another number of values or NaN."""
-        actions = np.asarray(actions, np.float64)
-        if actions.shape != self._shape:
-            one = 1 if actions.shape[:1] == self._shape[:1] == (1,) else 0  # of a single world the action's own shape
-            raise ValueError(f"action: got shape {actions.shape[one:]}, expected {self._shape[one:]}")
-        actuation = np.ones(self._grid_size)
-        actuation[:, self._actuators] = actions[:, : len(self._actuators)]
-        if not self._is_reactive:
-            return actuation, None
-        stiffness = np.ones(self._grid_size)
-        stiffness[:, self._voxels] = actions[:, len(self._actuators) :]
-        return actuation, stiffness
 
 
 class GymnasiumEnv(Described, WorldReadings, gymnasium.Env[np.ndarray, np.ndarray]):
@@ -125,7 +101,7 @@ class GymnasiumEnv(Described, WorldReadings, gymnasium.Env[np.ndarray, np.ndarra
         )
         WorldReadings.__init__(self, engine)
         self.observation_space, self.action_space = _single_spaces(self.engine)
-        self._grid = _ActionGrid(self.engine, self.action_space.shape[0])
+        self._grid = ActionGrid(self.engine, self.action_space.shape)
         self._changed = engine.simulator.physics.changed()
         self._renderer = make_renderer(engine, render_mode, render_options)
         self._window = Display(engine.task.id, FPS) if render_mode in ("human", "screen") else None
@@ -138,7 +114,7 @@ class GymnasiumEnv(Described, WorldReadings, gymnasium.Env[np.ndarray, np.ndarra
     def _info(self) -> dict[str, Any]:
         engine = self.engine
         info = {
-            "com": engine.com[0],
+            "com": engine.snapshot.robot.com[0].copy(),
             "unstable": engine.unstable[0],
             "reached": engine.reached[0],
             "score": engine.score[0],
@@ -158,9 +134,9 @@ class GymnasiumEnv(Described, WorldReadings, gymnasium.Env[np.ndarray, np.ndarra
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
         """Advances the world by one env-step; actions are clipped to their range."""
         engine = self.engine
-        engine.step(*self._grid.spread(np.asarray(action)[None]))
+        engine.step(*self._grid.spread(action))
         self._show()
-        return self._observation(), float(engine.reward[0]), bool(engine.terminated[0]), False, self._info()
+        return self._observation(), engine.reward.item(), engine.terminated.item(), False, self._info()
 
     def render(self) -> np.ndarray | None:
         """Returns a picture, uint8 (height, width, 3), where `render_mode` is "rgb_array"; see `Renderer`."""
@@ -250,7 +226,7 @@ class GymnasiumVectorEnv(Described, PerWorld, VectorEnv[np.ndarray, np.ndarray, 
         self.single_observation_space, self.single_action_space = _single_spaces(self.engine)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        self._grid = _ActionGrid(self.engine, self.single_action_space.shape[0])
+        self._grid = ActionGrid(self.engine, (num_envs, *self.single_action_space.shape))
         self._ended = np.zeros(num_envs, bool)
         self._renderer = make_renderer(self.engine, render_mode, render_options)
         self.worlds = [VectorWorld(self, world) for world in range(num_envs)]

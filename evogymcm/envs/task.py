@@ -56,12 +56,12 @@ class Snapshot:
     @property
     def x(self) -> np.ndarray:
         """(N,) the robot's COM, across."""
-        return self.robot.com[:, 0]
+        return self.robot.x
 
     @property
     def y(self) -> np.ndarray:
         """(N,) the robot's COM, up."""
-        return self.robot.com[:, 1]
+        return self.robot.y
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ them, and in which order sums run, is followed to the last bit.
 """
 
 import math
-from typing import NamedTuple
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -28,46 +28,40 @@ N_SCRATCH = 8  # numbers a point that `read_object` needs
 POSITIONS, VELOCITIES, STIFFNESS, ACTUATION, PLACE, N_FEATURES = 0, 8, 16, 17, 18, 20
 
 
-class Readings(NamedTuple):
-    """Readings of one object in N worlds; n points at most."""
+class Readings:
+    """Readings of one object in N worlds; n points at most.
 
-    numbers: np.ndarray  # (N, N_NUMBERS) what the properties below are views of
-    relative: np.ndarray  # (N, 2, n) points minus COM; 0 beyond an object's own points
+    Args:
+        numbers: (N, N_NUMBERS), of which most attributes are views: they are made once, and follow what kernels write.
+        relative: (N, 2, n) points minus COM; 0 beyond an object's own points.
 
-    @property
-    def com(self) -> np.ndarray:
-        """(N, 2) mean of the points, metres."""
-        return self.numbers[:, COM : COM + 2]
+    Attributes:
+        com: (N, 2) mean of the points, metres.
+        x: (N,) of the COM, across.
+        y: (N,) of the COM, up.
+        velocity: (N, 2) mean of the integrated velocities, formed in voxels.
+        plain_velocity: (N, 2) the same mean, formed in metres, as some of EvoGym's tasks do: last digits differ.
+        low: (N, 2) smallest coordinates.
+        high: (N, 2) largest coordinates.
+        orientation: (N,) radians in [0, 2 pi), counter-clockwise from reset.
+        hull_area: (N,) square metres.
+    """
 
-    @property
-    def velocity(self) -> np.ndarray:
-        """(N, 2) mean of the integrated velocities, formed in voxels."""
-        return self.numbers[:, VELOCITY : VELOCITY + 2]
+    def __init__(self, numbers: np.ndarray, relative: np.ndarray) -> None:
+        self.numbers, self.relative = numbers, relative
+        self.com = numbers[:, COM : COM + 2]
+        self.x, self.y = self.com[:, 0], self.com[:, 1]
+        self.velocity = numbers[:, VELOCITY : VELOCITY + 2]
+        self.plain_velocity = numbers[:, PLAIN_VELOCITY : PLAIN_VELOCITY + 2]
+        self.low, self.high = numbers[:, LOW : LOW + 2], numbers[:, HIGH : HIGH + 2]
+        self.orientation, self.hull_area = numbers[:, ORIENTATION], numbers[:, HULL_AREA]
 
-    @property
-    def plain_velocity(self) -> np.ndarray:
-        """(N, 2) the same mean, formed in metres, as some of EvoGym's tasks do: last digits differ."""
-        return self.numbers[:, PLAIN_VELOCITY : PLAIN_VELOCITY + 2]
+    def __iter__(self) -> Iterator[np.ndarray]:
+        """Gives `numbers` and `relative`, which kernels write."""
+        return iter((self.numbers, self.relative))
 
-    @property
-    def low(self) -> np.ndarray:
-        """(N, 2) smallest coordinates."""
-        return self.numbers[:, LOW : LOW + 2]
-
-    @property
-    def high(self) -> np.ndarray:
-        """(N, 2) largest coordinates."""
-        return self.numbers[:, HIGH : HIGH + 2]
-
-    @property
-    def orientation(self) -> np.ndarray:
-        """(N,) radians in [0, 2 pi), counter-clockwise from reset."""
-        return self.numbers[:, ORIENTATION]
-
-    @property
-    def hull_area(self) -> np.ndarray:
-        """(N,) square metres."""
-        return self.numbers[:, HULL_AREA]
+    def __reduce__(self) -> tuple[type, tuple[np.ndarray, np.ndarray]]:
+        return Readings, (self.numbers, self.relative)  # so that a copy's views are of its own numbers
 
 
 def new_readings(n_worlds: int, n_points: int) -> Readings:

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from evogymcm.sim._jit import announce_compilation
+from evogymcm.sim._jit import announce_compilation, entry
 from evogymcm.sim._threads import Threads
 from evogymcm.sim.advance import Room, Scratch, Storage, advance, new_scratch, set_stiffness
 from evogymcm.sim.constants import SUBSTEPS, Physics
@@ -78,7 +78,8 @@ class Simulator:
         self._design_of = np.array([self._designs.take(objects) for objects in self._worlds], np.int64)
         self._state = aligned_zeros(self.n_worlds, 0)
         self._room = Room(0, 0, 0, 0, 0, 0, 0, 0)
-        self._scratches: list[Scratch] = []
+        self._scratches: list[Scratch] = []  # one a thread
+        self._advance: Any = None  # the kernel, once there are scratches
         self._constants = np.array(self.physics.values())
         self._lay_out(self._designs.scenes.values())
         for world in range(self.n_worlds):
@@ -254,29 +255,39 @@ class Simulator:
         unstable = np.zeros(self.n_worlds, bool)
         actuation = self._rows("actuation", actuation, self.n_cells)
         factors = self._unchanged if stiffness is None else self._rows("stiffness", stiffness, self.n_cells)
-        while len(self._scratches) < self.num_threads:
-            self._scratches.append(new_scratch(self._room))
+        chosen = self._all if mask is None else self._chosen(mask)
+        if not self._scratches:
+            self._get_ready()
 
         def run(worlds: np.ndarray, thread: int) -> None:
-            done = 0
-            while True:
+            done = self._advance(self._storage, self._scratches[thread], worlds, actuation, factors, n, unstable)
+            while done < len(worlds):
+                self._enlarge(thread)
                 scratch = self._scratches[thread]
-                done += advance(self._storage, scratch, worlds[done:], actuation, factors, n, unstable)
-                if done == len(worlds):
-                    break
-                room = Room(*scratch.ints[: len(Room._fields)].tolist())
-                more = room._replace(candidates=2 * room.candidates, contacts=2 * room.contacts)
-                self._scratches[thread] = new_scratch(more)
+                done += self._advance(self._storage, scratch, worlds[done:], actuation, factors, n, unstable)
             if then is not None:
                 then(worlds, thread)
 
-        chosen = self._chosen(mask)
         if self.num_threads == 1 or len(chosen) < 2:
             if len(chosen):
                 run(chosen, 0)
         else:
             self._threads.run(run, chosen, self._costs[chosen])
         return unstable
+
+    def _get_ready(self) -> None:
+        """Makes what threads need to advance worlds."""
+        self._scratches = [new_scratch(self._room) for _ in range(self.num_threads)]
+        none = np.zeros(0, bool)
+        self._advance = entry(
+            advance, self._storage, self._scratches[0], self._all, self._unchanged, self._unchanged, SUBSTEPS, none
+        )
+
+    def _enlarge(self, thread: int) -> None:
+        """Makes more room for a thread's lists."""
+        room = Room(*self._scratches[thread].ints[: len(Room._fields)].tolist())
+        more = room._replace(candidates=2 * room.candidates, contacts=2 * room.contacts)
+        self._scratches[thread] = new_scratch(more)
 
     def positions(self, name: str = "robot", world: int = 0) -> np.ndarray:
         """Returns (2, n) positions in metres of an object's points in one world."""
@@ -362,7 +373,7 @@ class Simulator:
         self._threads.close()
 
     def __getstate__(self) -> dict[str, Any]:
-        return self.__dict__ | {"_scratches": [], "_storage": None, "_state": self._state.copy()}
+        return self.__dict__ | {"_scratches": [], "_advance": None, "_storage": None, "_state": self._state.copy()}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Lays the state out as in a new simulator: a copied array need not begin on a cache line."""

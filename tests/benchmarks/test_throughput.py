@@ -2,8 +2,6 @@
 
 import importlib
 import json
-import sys
-import textwrap
 from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
@@ -14,32 +12,6 @@ import torch
 import evogymcm as cm
 
 BENCHMARKS = Path(__file__).resolve().parents[2] / "benchmarks"
-# Enough of EvoGym for the process that runs it: a task under its id, and a greeting on stdout.
-FAKE_EVOGYM = """
-    import gymnasium
-    import numpy as np
-
-    print("Using a fake simulator")
-
-    class Env(gymnasium.Env):
-        observation_space = gymnasium.spaces.Box(-1.0, 1.0, (1,))
-
-        def __init__(self, body, connections):
-            assert connections.shape[0] == 2
-            self.action_space = gymnasium.spaces.Box(0.6, 1.6, (int(np.isin(body, (3, 4)).sum()),), np.float64)
-
-        def reset(self, seed=None, options=None):
-            self.steps = 0
-            return np.zeros(1), {}
-
-        def step(self, action):
-            assert action.shape == self.action_space.shape
-            assert self.steps < 5, "not reset"
-            self.steps += 1
-            return np.zeros(1), 0.0, self.steps == 5, False, {}
-
-    gymnasium.register("Walker-v0", Env)
-"""
 
 
 @pytest.fixture
@@ -51,19 +23,6 @@ def throughput(monkeypatch) -> ModuleType:
 @pytest.fixture
 def runners(throughput) -> ModuleType:
     return importlib.import_module("_runners")
-
-
-@pytest.fixture
-def fake_evogym(tmp_path) -> Path:
-    """An interpreter that finds a fake evogym."""
-    package = tmp_path / "evogym"
-    package.mkdir()
-    (package / "__init__.py").touch()
-    (package / "envs.py").write_text(textwrap.dedent(FAKE_EVOGYM), encoding="utf-8")
-    python = tmp_path / "python"
-    python.write_text(f'#!/bin/sh\nPYTHONPATH="{tmp_path}" exec "{sys.executable}" "$@"\n', encoding="utf-8")
-    python.chmod(0o755)
-    return python
 
 
 @pytest.fixture

@@ -2,8 +2,6 @@
 
 import importlib
 import json
-import sys
-import textwrap
 from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
@@ -14,38 +12,6 @@ from evogymcm.algos import PPOConfig
 
 BENCHMARKS = Path(__file__).resolve().parents[2] / "benchmarks"
 SMALL = PPOConfig(total_steps=64, num_worlds=4, rollout_steps=8, epochs=2, minibatch=16, hidden=8, seed=5)
-# Enough of EvoGym for the process that trains on it. At its end it writes down how many steps it has made.
-FAKE_EVOGYM = """
-    import atexit
-    from pathlib import Path
-
-    import gymnasium
-    import numpy as np
-
-    print("Using a fake simulator")
-    counted = [0]
-    atexit.register(lambda: Path(__file__).with_name("steps").write_text(str(counted[0])))
-
-    class Env(gymnasium.Env):
-        observation_space = gymnasium.spaces.Box(-1.0, 1.0, (3,))
-
-        def __init__(self, body, connections):
-            assert connections.shape[0] == 2
-            self.action_space = gymnasium.spaces.Box(0.6, 1.6, (int(np.isin(body, (3, 4)).sum()),), np.float64)
-
-        def reset(self, seed=None, options=None):
-            self.steps = 0
-            return np.zeros(3, np.float32), {}
-
-        def step(self, action):
-            assert action.shape == self.action_space.shape
-            assert self.steps < 50, "not reset"
-            self.steps += 1
-            counted[0] += 1
-            return np.zeros(3, np.float32), 0.0, False, self.steps == 50, {}
-
-    gymnasium.register("Walker-v0", Env)
-"""
 
 
 @pytest.fixture
@@ -54,18 +20,10 @@ def speed(monkeypatch) -> ModuleType:
     return importlib.import_module("training_speed")
 
 
-@pytest.fixture
-def fake_evogym(tmp_path) -> Path:
-    """An interpreter that finds a fake evogym, and the real stable-baselines3."""
+@pytest.fixture(name="fake_evogym")
+def _fake_evogym(fake_evogym):
     pytest.importorskip("stable_baselines3")
-    package = tmp_path / "evogym"
-    package.mkdir()
-    (package / "__init__.py").touch()
-    (package / "envs.py").write_text(textwrap.dedent(FAKE_EVOGYM), encoding="utf-8")
-    python = tmp_path / "python"
-    python.write_text(f'#!/bin/sh\nPYTHONPATH="{tmp_path}" exec "{sys.executable}" "$@"\n', encoding="utf-8")
-    python.chmod(0o755)
-    return python
+    return fake_evogym
 
 
 @pytest.fixture

@@ -13,7 +13,7 @@ from torchrl.envs.utils import check_env_specs
 
 import evogymcm as cm
 from evogymcm import Body
-from evogymcm.algos import PPOConfig, train
+from evogymcm.algos import PPOConfig, Trainer
 from evogymcm.algos.analysis import GroundContact
 from evogymcm.envs import Renderer, SoftRobotEnv, TaskEngine, Window, parallel_env, population_env
 from evogymcm.sim.simulator import Simulator
@@ -265,11 +265,11 @@ def test_a_policy_learns_from_a_stream():
     def make_env(**options):
         return SoftRobotEnv(SHORT, draw, material="reactive", num_threads=1, grid_shape=GRID, **options)
 
-    result = train(make_env, PPOConfig(total_steps=32, num_worlds=4, rollout_steps=4, eval_worlds=2))
+    result = Trainer(make_env, PPOConfig(total_steps=32, num_worlds=4, rollout_steps=4, eval_worlds=2)).train()
     first = make_env(num_worlds=2, seed=0)
     assert len(result.final.score) == len(first.bodies)
     with pytest.raises(ValueError, match="a stream of bodies needs 'shared'"):
-        train(make_env, PPOConfig(total_steps=32, num_worlds=4, sharing="independent"))
+        Trainer(make_env, PPOConfig(total_steps=32, num_worlds=4, sharing="independent")).train()
 
 
 def test_tables_of_former_robots_are_given_back():

@@ -8,7 +8,7 @@ from itertools import product
 import numpy as np
 import pytest
 
-from evogymcm.algos import BodyPPOConfig, PPOConfig, RunFolder, train
+from evogymcm.algos import BodyPPOConfig, PPOConfig, RunFolder, Trainer
 from evogymcm.algos.codesign import CodesignConfig, SearchConfig, codesign
 from evogymcm.envs import SoftRobotEnv, Task
 from tests.registries import registered
@@ -50,7 +50,7 @@ def training(tmp_path_factory):
         config = {"task": "Dart-v0", "material": arm, "bodies": [BODY], "ppo": asdict(ppo)}
         make_env = partial(SoftRobotEnv, "Dart-v0", bodies=BODY, material=arm, num_threads=1)
         with registered(DART):
-            train(make_env, ppo, run=RunFolder(folder / f"{arm}-{seed}", config))
+            Trainer(make_env, ppo).train(run=RunFolder(folder / f"{arm}-{seed}", config))
     return folder
 
 

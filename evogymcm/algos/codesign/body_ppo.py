@@ -3,7 +3,7 @@
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
-from evogymcm.algos.learning.config import PPOConfig
+from evogymcm.algos.learning.config import PPOConfig, Sharing
 
 __all__ = ["BodyPPOConfig", "check_body_ppo"]
 
@@ -30,7 +30,7 @@ class BodyPPOConfig(PPOConfig):
     num_worlds: int = 16
     minibatch: int = 128
     eval_interval: int = 10_000
-    sharing: str = "independent"
+    sharing: Sharing = "independent"
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -15,8 +15,9 @@ from torchrl.envs import EnvBase
 from evogymcm._settings import check_choice, check_count
 from evogymcm.algos.codesign.body_ppo import BodyPPOConfig, check_body_ppo
 from evogymcm.algos.codesign.design import Design
+from evogymcm.algos.learning.outcome import Progress, TrainResult
 from evogymcm.algos.learning.stacking import stack_states, take_state
-from evogymcm.algos.learning.training import Progress, TrainResult, train
+from evogymcm.algos.learning.trainer import Trainer
 from evogymcm.algos.runs.folder import RunFolder
 from evogymcm.envs import SoftRobotEnv
 from evogymcm.envs.dealing import MATERIALS
@@ -132,7 +133,8 @@ def train_designs(
         return arena.make(designs, num_worlds // n, seed)
 
     start = None if start_from is None else stack_policies(start_from, ppo.sharing)
-    result = train(make_env, config, run=run, progress=progress, should_stop=should_stop, start_from=start)
+    trainer = Trainer(make_env, config)
+    result = trainer.train(run=run, progress=progress, should_stop=should_stop, initial=start)
     return _apart(result, n)
 
 

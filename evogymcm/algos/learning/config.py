@@ -1,18 +1,25 @@
 """Settings of learning: plain data, without torch."""
 
-from dataclasses import dataclass, fields
-from typing import Any
+from dataclasses import dataclass, field, replace
+from typing import Literal, get_args
 
-from evogymcm._settings import check_choice, check_count, check_flag, check_number, check_pair
+import numpy as np
 
-__all__ = ["PPOConfig"]
+from evogymcm._messages import brief
+from evogymcm._settings import EdgeRule, Material, check_fields, check_number, check_pair
+from evogymcm.algos.learning.bodies import as_text, default_body, written_out
+from evogymcm.body import STIFFNESS_HIGH, STIFFNESS_LOW, Body, as_body, check_stiffness
 
-SHARING = ("shared", "independent")
-NETWORKS = ("voxel", "mlp")
-CONTEXTS = ("none", "body", "message", "attention")
-_CHOICES = {"network": NETWORKS, "context": CONTEXTS, "sharing": SHARING}
-_COUNTS_FROM = {"eval_interval": 0, "seed": 0}  # other counts: from 1
-_NUMBERS: dict[str, dict[str, float]] = {
+__all__ = ["PPOConfig", "TrainConfig"]
+
+Network = Literal["voxel", "mlp"]
+Context = Literal["none", "body", "message", "attention"]
+Sharing = Literal["shared", "independent"]
+CONTEXTS = get_args(Context)
+
+_BOUNDS: dict[str, dict[str, float]] = {  # counts without any: from 1
+    "eval_interval": {"low": 0},
+    "seed": {"low": 0},
     "learning_rate": {"above": 0},
     "gamma": {"low": 0, "high": 1},
     "gae_lambda": {"low": 0, "high": 1},
@@ -84,9 +91,9 @@ class PPOConfig:
     target_kl: float = 0.03
     reward_scale: float = 10.0
     hidden: int | None = None
-    network: str = "voxel"
-    context: str = "body"
-    sharing: str = "shared"
+    network: Network = "voxel"
+    context: Context = "body"
+    sharing: Sharing = "shared"
     initial_std: float = 1.0
     final_std: float = 0.3
     schedule: tuple[float, float] = (0.0, 1.0)
@@ -97,8 +104,11 @@ class PPOConfig:
     torch_threads: int = 1
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            object.__setattr__(self, field.name, _checked(field.name, getattr(self, field.name)))
+        check_fields(self, _BOUNDS)
+        begin, end = (check_number("schedule", share, low=0, high=1) for share in check_pair("schedule", self.schedule))
+        if not begin < end:
+            raise ValueError(f"schedule: got {self.schedule}, expected two rising shares from 0 to 1")
+        object.__setattr__(self, "schedule", (begin, end))
 
     @property
     def frames_per_update(self) -> int:
@@ -106,19 +116,71 @@ class PPOConfig:
         return self.num_worlds * self.rollout_steps
 
 
-def _checked(name: str, value: Any) -> Any:
-    """Returns the value of a setting as Python has it, or raises a ValueError."""
-    if name in _CHOICES:
-        return check_choice(name, value, _CHOICES[name])
-    if name in _NUMBERS:
-        return check_number(name, value, **_NUMBERS[name])
-    if name == "decay_learning_rate":
-        return check_flag(name, value)
-    if name == "schedule":
-        begin, end = (check_number(name, share, low=0, high=1) for share in check_pair(name, value))
-        if not begin < end:
-            raise ValueError(f"schedule: got {value}, expected two rising shares from 0 to 1")
-        return begin, end
-    if value is None and name in ("hidden", "eval_worlds"):
-        return None
-    return check_count(name, value, _COUNTS_FROM.get(name, 1))
+Field = tuple[tuple[float, ...], ...]
+
+
+@dataclass(frozen=True)
+class TrainConfig:
+    """Everything that training a policy depends on.
+
+    Attributes:
+        task: Id of the task, or the file of a world to walk in.
+        bodies: Rows of voxels ("HHH/V.V"), names of robots or files, one text a body; they learn side by side. None
+            given: the EvoGymCM paper's robot of the task, or the one in the world's file. `Body` objects and other
+            things that `as_body` takes become texts.
+        material: Whether the policy sets stiffness too ("reactive"), or stiffness belongs to the body ("invariant").
+        stiffness: "invariant" only: one number for all, or a field (rows, cols) for each body; None is 1.
+        edge_rule: How stiffness acts on shared edges.
+        ppo: Settings of PPO.
+
+    Raises:
+        ValueError: A value is of the wrong kind or out of range; bodies or stiffness do not fit.
+    """
+
+    task: str
+    bodies: tuple[str, ...] = ()
+    material: Material = "invariant"
+    stiffness: float | tuple[Field, ...] | None = None
+    edge_rule: EdgeRule = "mean_factor"
+    ppo: PPOConfig = field(default_factory=PPOConfig)
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.task, str):
+            raise ValueError(f"task: got {self.task!r}, expected the id of a task or the file of a world")
+        if not isinstance(self.ppo, PPOConfig):
+            raise ValueError(f"ppo: got {brief(self.ppo)}, expected a PPOConfig")
+        bodies = [self.bodies] if isinstance(self.bodies, str | Body) else self.bodies
+        object.__setattr__(self, "bodies", tuple(as_text(body) for body in bodies))
+        check_fields(self, {"stiffness": {"low": STIFFNESS_LOW, "high": STIFFNESS_HIGH}})
+        if self.stiffness is None:
+            return
+        if self.material == "reactive":
+            raise ValueError("stiffness: in the reactive setting the policy sets it; leave it out, or set material")
+        if not isinstance(self.stiffness, float):
+            fields = tuple(tuple(tuple(map(float, row)) for row in rows) for rows in self.stiffness)
+            object.__setattr__(self, "stiffness", fields)
+
+    def resolved(self) -> "TrainConfig":
+        """Returns the same settings with the task's own robot named, and bodies that lie in files written as rows.
+
+        Raises:
+            ValueError: A file cannot be read.
+        """
+        return replace(self, bodies=tuple(map(written_out, self.bodies or (default_body(self.task),))))
+
+    def designs(self) -> tuple[list[Body], list[np.ndarray] | None]:
+        """Returns the bodies, and a stiffness field for each; None instead of fields where there are none.
+
+        Raises:
+            ValueError: A body is not valid, or a field does not fit its body.
+        """
+        bodies = [as_body(text) for text in self.bodies or (default_body(self.task),)]
+        if self.stiffness is None:
+            return bodies, None
+        if isinstance(self.stiffness, float):
+            return bodies, [np.where(body.occupancy, self.stiffness, 1.0) for body in bodies]
+        if len(self.stiffness) != len(bodies):
+            raise ValueError(
+                f"stiffness: got {len(self.stiffness)} fields, expected one for each of {len(bodies)} bodies"
+            )
+        return bodies, [check_stiffness(rows, body) for rows, body in zip(self.stiffness, bodies, strict=True)]

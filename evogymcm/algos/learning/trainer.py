@@ -2,52 +2,30 @@
 
 import copy
 import time
-from collections.abc import Mapping
-from typing import Any, Protocol, Self
+from collections.abc import Callable, Mapping
+from contextlib import nullcontext
+from typing import Any, Self
 
 import numpy as np
 import torch
-from tensordict import TensorDict, TensorDictBase
-from torchrl.collectors import Collector
+from tensordict import TensorDict
 from torchrl.envs import EnvBase
+from torchrl.record.loggers import Logger
 
 from evogymcm.algos.learning.actor import make_actor
+from evogymcm.algos.learning.collector import WorldCollector
 from evogymcm.algos.learning.config import PPOConfig
 from evogymcm.algos.learning.critic import make_critic
+from evogymcm.algos.learning.env import EnvFactory
 from evogymcm.algos.learning.evaluation import Evaluation, evaluate, starts_of
+from evogymcm.algos.learning.loop import train_to_the_end
+from evogymcm.algos.learning.outcome import Progress, TrainResult
 from evogymcm.algos.learning.ppo import PPOLearner
 from evogymcm.algos.learning.stacking import PerDesign, by_design, stack_states
 from evogymcm.algos.learning.threads import exploration, limited_threads
+from evogymcm.algos.runs.folder import RunFolder
 
-__all__ = ["EnvFactory", "Trainer"]
-
-
-class EnvFactory(Protocol):
-    """Makes environments, e.g. `functools.partial(SoftRobotEnv, "Walker-v0", bodies=body)`."""
-
-    def __call__(self, *, num_worlds: int, seed: int) -> EnvBase:
-        """Returns a fresh environment, batch size (num_worlds,)."""
-
-
-class _WorldCollector(Collector):
-    """A collector whose state holds the live worlds too, so that a resumed run goes on within its episodes.
-
-    The environment's own state must come with its `state_dict` (`get_extra_state`); without, resuming restarts the
-    episodes.
-    """
-
-    _carrier: TensorDictBase
-
-    def state_dict(self) -> dict[str, Any]:
-        """Returns the environment's state and the policy's next input."""
-        return {"env": dict(self.env.state_dict()), "carrier": self._carrier.to_dict()}
-
-    def load_state_dict(self, state_dict: dict[str, Any], **kwargs: Any) -> None:
-        """Restores what `state_dict` returned."""
-        if not state_dict["env"]:
-            return
-        self.env.load_state_dict(state_dict["env"])
-        self._carrier = TensorDict(state_dict["carrier"], batch_size=self._carrier.batch_size)
+__all__ = ["Trainer"]
 
 
 def _copies(config: PPOConfig, env: EnvBase) -> int | None:
@@ -64,7 +42,9 @@ def _copies(config: PPOConfig, env: EnvBase) -> int | None:
 
 
 class Trainer:
-    """One training run, advanced update by update; as a context manager it closes its environment at the end.
+    """One training run in any `TrainingEnv`: the whole of it (`train`), or update by update.
+
+    As a context manager it closes its environment at the end.
 
     The run draws from a generator of its own, and what torch and TorchRL keep for the whole process is left as it was:
     runs may go side by side in threads, each as if it were alone.
@@ -84,6 +64,7 @@ class Trainer:
         # Worlds count up from a seed: those of training and evaluation, and of other runs, must not come near it.
         seed, self._eval_seed = np.random.SeedSequence(config.seed).generate_state(2).tolist()
         self._env = make_env(num_worlds=config.num_worlds, seed=seed)
+        self._is_open = True
         try:
             self._set_up(self._env)
         except BaseException:
@@ -103,13 +84,34 @@ class Trainer:
         self.policy = self.actor if copies is None else PerDesign(self.actor, copies)
         self.learner = PPOLearner(self.actor, self.critic, config, self.generator)
         with exploration(True):
-            self.collector = _WorldCollector(
+            self.collector = WorldCollector(
                 env,
                 self.policy,
                 frames_per_batch=config.frames_per_update,
                 auto_register_policy_transforms=False,
                 track_traj_ids=False,
             )
+
+    def train(
+        self,
+        *,
+        run: RunFolder | None = None,
+        progress: Callable[[Progress], None] | None = None,
+        should_stop: Callable[[], bool] | None = None,
+        initial: Mapping[str, Any] | None = None,
+        logger: Logger | None = None,
+    ) -> TrainResult:
+        """Does the whole run, or the rest of the folder's, closes the environment and returns the outcome.
+
+        The arguments are those of the function `train`, which also writes the run's record.
+
+        Raises:
+            RunInUseError: Another process or thread works in the folder.
+        """
+        with self, run.lock() if run else nullcontext():
+            if initial is not None:
+                self.start_from(initial)
+            return train_to_the_end(self, run=run, progress=progress, should_stop=should_stop, logger=logger)
 
     @property
     def is_finished(self) -> bool:
@@ -217,6 +219,9 @@ class Trainer:
 
     def close(self) -> None:
         """Closes the environment, with its threads, and hands the actor's noise over to torch's global generator."""
+        if not self._is_open:
+            return
+        self._is_open = False
         self.collector.shutdown(close_env=False)
         self._env.close(raise_if_closed=False)  # TorchRL takes environments for closed that were never open
         self.actor.generator = None

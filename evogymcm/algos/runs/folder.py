@@ -3,22 +3,22 @@
 import errno
 import json
 import math
+import os
 import shutil
 import signal
 import threading
 import time
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-import torch
 from filelock import FileLock, Timeout
 
 from evogymcm._files import write_atomic
 
-__all__ = ["RunFolder", "RunInUseError", "stop_on_interrupt"]
+__all__ = ["RunFiles", "RunFolder", "RunInUseError", "stop_on_interrupt"]
 
 _CONFIG, _TABLE, _LOCK = "config.json", "curve.jsonl", ".lock"
 _CANNOT_LOCK = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP)  # of some network file systems
@@ -40,10 +40,65 @@ class RunInUseError(RuntimeError):
     """Somebody else is at work in a run's folder."""
 
 
-class RunFolder:
+class RunFiles:
+    """What lies in a run's folder, for reading: nothing is written or locked there.
+
+    Attributes:
+        path: The folder.
+    """
+
+    def __init__(self, path: str | os.PathLike[str]) -> None:
+        self.path = Path(path)
+
+    @property
+    def config(self) -> dict[str, Any]:
+        """The settings of the run, {} where the folder has none."""
+        return self.read_json(_CONFIG)
+
+    def read_json(self, name: str) -> dict[str, Any]:
+        """Returns the object in a JSON file, {} where there is no such file.
+
+        Raises:
+            ValueError: It is no JSON, or no object.
+        """
+        path = self.path / name
+        if not path.is_file():
+            return {}
+        try:
+            content = json.loads(path.read_text(encoding="utf-8"))
+        except ValueError as error:
+            raise ValueError(f"{path}: not JSON: {error}") from error
+        if not isinstance(content, dict):
+            raise ValueError(f"{path}: got {type(content).__name__}, expected a JSON object")
+        return content
+
+    def rows(self) -> list[dict[str, Any]]:
+        """Returns the table; a last row cut short by a crash is left out.
+
+        Raises:
+            ValueError: It is no table of JSON rows.
+        """
+        table = self.path / _TABLE
+        if not table.is_file():
+            return []
+        lines = table.read_text(encoding="utf-8").splitlines(keepends=True)
+        try:
+            return [json.loads(line) for line in lines if line.endswith("\n")]
+        except ValueError as error:
+            raise ValueError(f"{table}: not a table of JSON rows: {error}") from error
+
+    def load(self, name: str) -> dict[str, Any] | None:
+        """Returns the checkpoint `name`, None if there is none."""
+        import torch  # loading settings and tables does without
+
+        path = self.path / f"{name}.pt"
+        return torch.load(path, weights_only=True) if path.exists() else None
+
+
+class RunFolder(RunFiles):
     """A folder that holds one run: `config.json`, the table `curve.jsonl`, and named checkpoints (`*.pt`).
 
-    Whoever adds to a run should hold its `lock`, as `train` and `codesign` do; reading needs none.
+    Whoever adds to a run should hold its `lock`, as `train` and `codesign` do. `RunFolder.open` is for reading.
 
     Args:
         path: the folder, made if it does not exist.
@@ -58,9 +113,9 @@ class RunFolder:
     """
 
     def __init__(
-        self, path: str | Path, config: Mapping[str, Any], *, resume: bool = False, overwrite: bool = False
+        self, path: str | os.PathLike[str], config: Mapping[str, Any], *, resume: bool = False, overwrite: bool = False
     ) -> None:
-        self.path = Path(path)
+        super().__init__(path)
         config = _plain(config)
         if resume and overwrite:
             raise ValueError("resume and overwrite: only one of them can be set")
@@ -73,6 +128,18 @@ class RunFolder:
             for old in self._files(halves=True):
                 shutil.rmtree(old) if old.is_dir() and not old.is_symlink() else old.unlink()
             self.write_json(_CONFIG, config)
+
+    @staticmethod
+    def open(path: str | os.PathLike[str]) -> RunFiles:
+        """Returns an existing run, of this version or an earlier one, for reading.
+
+        Raises:
+            ValueError: The folder holds no run.
+        """
+        files = RunFiles(path)
+        if not any((files.path / name).is_file() for name in (_CONFIG, _TABLE)):
+            raise ValueError(f"{path} holds no run: neither {_CONFIG} nor {_TABLE}")
+        return files
 
     def _files(self, halves: bool = False) -> list[Path]:
         """Returns what there is besides the lock, with or without what a kill left half written."""
@@ -119,10 +186,25 @@ class RunFolder:
 
     def _check_same(self, config: Mapping[str, Any]) -> None:
         """Compares with the saved settings."""
-        saved = self.read_json(_CONFIG)
-        differing = sorted(key for key in saved.keys() | config.keys() if saved.get(key) != config.get(key))
+        saved = self.config
+        self._refuse(saved, config, saved.keys() | config.keys())
+
+    def check_settings(self, config: Mapping[str, Any]) -> None:
+        """Compares what is about to be done here with what the folder was opened for.
+
+        Args:
+            config: Settings, of which the folder may have more, and fewer where it was made for something else.
+
+        Raises:
+            ValueError: Settings of one name differ.
+        """
+        saved = self.config
+        self._refuse(saved, _plain(config), saved.keys() & config.keys())
+
+    def _refuse(self, saved: Mapping[str, Any], config: Mapping[str, Any], names: Collection[str]) -> None:
+        differing = sorted(name for name in names if saved.get(name) != config.get(name))
         if differing:
-            changes = "; ".join(f"{key}: got {config.get(key)}, the run has {saved.get(key)}" for key in differing)
+            changes = "; ".join(f"{name}: got {config.get(name)}, the run has {saved.get(name)}" for name in differing)
             raise ValueError(f"cannot resume {self.path} with other settings: {changes}")
 
     def write_json(self, name: str, value: Any) -> None:
@@ -130,22 +212,10 @@ class RunFolder:
         text = json.dumps(_plain(value), indent=2, allow_nan=False) + "\n"
         write_atomic(self.path / name, lambda part: part.write_text(text, encoding="utf-8"))
 
-    def read_json(self, name: str) -> Any:
-        """Returns what `write_json` wrote."""
-        return json.loads((self.path / name).read_text(encoding="utf-8"))
-
     def append(self, row: Mapping[str, Any]) -> None:
         """Adds a row to the table."""
         with (self.path / _TABLE).open("a", encoding="utf-8") as file:
             file.write(json.dumps(_plain(row), allow_nan=False) + "\n")
-
-    def rows(self) -> list[dict[str, Any]]:
-        """Returns the table; a last row cut short by a crash is left out."""
-        table = self.path / _TABLE
-        if not table.exists():
-            return []
-        lines = table.read_text(encoding="utf-8").splitlines(keepends=True)
-        return [json.loads(line) for line in lines if line.endswith("\n")]
 
     def keep_rows(self, count: int) -> None:
         """Cuts the table back to its first `count` rows: what came after the checkpoint will be done again."""
@@ -154,12 +224,9 @@ class RunFolder:
 
     def save(self, name: str, state: Mapping[str, Any]) -> None:
         """Writes the checkpoint `name`, atomically; `state` holds tensors, numbers, text, lists and mappings."""
-        write_atomic(self.path / f"{name}.pt", lambda part: torch.save(dict(state), part))
+        import torch
 
-    def load(self, name: str) -> dict[str, Any] | None:
-        """Returns the checkpoint `name`, None if there is none."""
-        path = self.path / f"{name}.pt"
-        return torch.load(path, weights_only=True) if path.exists() else None
+        write_atomic(self.path / f"{name}.pt", lambda part: torch.save(dict(state), part))
 
 
 @contextmanager

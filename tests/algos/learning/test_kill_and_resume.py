@@ -13,7 +13,7 @@ from random import Random
 import pytest
 import torch
 
-from evogymcm.algos import RunFolder, train
+from evogymcm.algos import RunFolder, Trainer
 from evogymcm.algos.codesign import codesign
 from tests.algos.codesign.test_codesign import TINY as TINY_CODESIGN
 from tests.algos.learning.test_real_env import TINY as TINY_TRAINING
@@ -30,7 +30,9 @@ print("started", flush=True)
 
 
 def train_in(folder, progress=None):
-    train(make_short, TINY_TRAINING, run=RunFolder(folder, asdict(TINY_TRAINING), resume=True), progress=progress)
+    Trainer(make_short, TINY_TRAINING).train(
+        run=RunFolder(folder, asdict(TINY_TRAINING), resume=True), progress=progress
+    )
 
 
 def codesign_in(folder, progress=None):
@@ -107,7 +109,7 @@ def test_a_run_killed_before_its_first_checkpoint_begins_anew(tmp_path):
     config = replace(TINY_TRAINING, total_steps=256, eval_interval=0)
     RunFolder(tmp_path / "run", asdict(config)).append({"env_steps": 0})
     run = RunFolder(tmp_path / "run", asdict(config), resume=True)
-    result = train(make_short, config, run=run)
+    result = Trainer(make_short, config).train(run=run)
     assert run.rows() == json.loads(json.dumps(result.rows))
 
 

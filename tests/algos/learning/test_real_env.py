@@ -7,7 +7,7 @@ import pytest
 import torch
 
 import evogymcm as cm
-from evogymcm.algos import PPOConfig, RunFolder, Trainer, evaluate, make_actor, train
+from evogymcm.algos import PPOConfig, RunFolder, Trainer, evaluate, make_actor
 from evogymcm.envs import SoftRobotEnv
 
 TINY = PPOConfig(
@@ -20,7 +20,7 @@ make_walker = functools.partial(SoftRobotEnv, "Walker-v0", bodies="Walk_Bot", ma
 
 def _train_tiny(folder: str) -> None:
     """Run in a process of its own, to be killed."""
-    train(make_short, TINY, run=RunFolder(folder, asdict(TINY), resume=True))
+    Trainer(make_short, TINY).train(run=RunFolder(folder, asdict(TINY), resume=True))
 
 
 def _weights(result) -> list[torch.Tensor]:
@@ -77,5 +77,5 @@ def test_evaluations_of_random_tasks_have_several_worlds_with_draws_of_their_own
 @pytest.mark.usefixtures("small_batches_pay")
 def test_threads_of_the_simulator_change_nothing():
     config = PPOConfig(total_steps=1024, num_worlds=32, rollout_steps=16, minibatch=256, hidden=16, eval_interval=0)
-    runs = [train(functools.partial(make_short, num_threads=threads), config) for threads in (1, 3)]
+    runs = [Trainer(functools.partial(make_short, num_threads=threads), config).train() for threads in (1, 3)]
     assert _same(*runs)

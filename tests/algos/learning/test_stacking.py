@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from evogymcm.algos import PPOConfig, PPOLearner, RunFolder, load_actor, make_actor, make_critic, train
+from evogymcm.algos import PPOConfig, PPOLearner, RunFolder, Trainer, load_actor, make_actor, make_critic
 from evogymcm.algos.learning import PerDesign, by_design, by_world, stack_states, take_state
 from evogymcm.algos.learning.ppo import clip_gradients
 from evogymcm.envs import SoftRobotEnv
@@ -117,7 +117,7 @@ make_toy = functools.partial(ToyEnv, bodies=BODIES)
 def test_independent_policies_train_and_are_kept_each_at_its_best(tmp_path):
     config = replace(TINY, sharing="independent")
     run = RunFolder(tmp_path / "run", {})
-    result = train(make_toy, config, run=run)
+    result = Trainer(make_toy, config).train(run=run)
     assert result.final.score.shape == (3,)
     best, final = run.load("best"), run.load("final")
     assert best["score"].shape == (3,)
@@ -133,13 +133,13 @@ def test_independent_policies_train_and_are_kept_each_at_its_best(tmp_path):
 
 def test_independent_policies_resume_exactly(tmp_path):
     config = replace(TINY, sharing="independent")
-    whole, calls = train(make_toy, config), iter(range(100))
-    train(make_toy, config, run=RunFolder(tmp_path / "run", {}), should_stop=lambda: next(calls) >= 3)
+    whole, calls = Trainer(make_toy, config).train(), iter(range(100))
+    Trainer(make_toy, config).train(run=RunFolder(tmp_path / "run", {}), should_stop=lambda: next(calls) >= 3)
     run = RunFolder(tmp_path / "run", {}, resume=True)
-    resumed = train(make_toy, config, run=run)
+    resumed = Trainer(make_toy, config).train(run=run)
     assert all(torch.equal(a, b) for a, b in zip(whole.actor.parameters(), resumed.actor.parameters(), strict=True))
     other = RunFolder(tmp_path / "whole", {})
-    train(make_toy, config, run=other)
+    Trainer(make_toy, config).train(run=other)
     for name in ("best", "final"):
         resumed, whole = (folder.load(name)["actor"] for folder in (run, other))
         assert all(torch.equal(resumed[key], whole[key]) for key in whole)
@@ -147,21 +147,21 @@ def test_independent_policies_resume_exactly(tmp_path):
 
 def test_independent_sharing_needs_whole_rounds():
     with pytest.raises(ValueError, match=r"num_worlds: got 7, .* 3 designs"):
-        train(make_toy, replace(TINY, sharing="independent", num_worlds=7))
+        Trainer(make_toy, replace(TINY, sharing="independent", num_worlds=7)).train()
     with pytest.raises(ValueError, match="sharing: got 'both'"):
         replace(TINY, sharing="both")
 
 
 def test_warm_starts(tmp_path):
     run = RunFolder(tmp_path / "run", {})
-    first = train(functools.partial(ToyEnv, bodies=SMALL), TINY, run=run)
+    first = Trainer(functools.partial(ToyEnv, bodies=SMALL), TINY).train(run=run)
     checkpoint = run.load("final")
     one_update = replace(TINY, total_steps=120)
-    again = train(functools.partial(ToyEnv, bodies=SMALL), one_update, start_from=checkpoint)
+    again = Trainer(functools.partial(ToyEnv, bodies=SMALL), one_update).train(initial=checkpoint)
     assert again.rows[0]["score"] == first.rows[-1]["score"]  # it starts where the other ended
-    other = train(functools.partial(ToyEnv, bodies=WIDE), one_update, start_from=checkpoint)
+    other = Trainer(functools.partial(ToyEnv, bodies=WIDE), one_update).train(initial=checkpoint)
     assert other.finished
-    many = train(make_toy, replace(one_update, sharing="independent"), start_from=checkpoint)
+    many = Trainer(make_toy, replace(one_update, sharing="independent")).train(initial=checkpoint)
     assert many.rows[0]["score"] != 0
 
 
@@ -169,7 +169,7 @@ def test_warm_starts(tmp_path):
 def test_the_plain_network_trains_on_the_flat_observation(sharing):
     make = functools.partial(SoftRobotEnv, "Walker-v0", bodies="HVH/S.R", material="reactive", num_threads=1)
     config = PPOConfig(total_steps=64, num_worlds=4, rollout_steps=8, hidden=8, network="mlp", sharing=sharing)
-    result = train(make, replace(config, eval_interval=0))
+    result = Trainer(make, replace(config, eval_interval=0)).train()
     assert np.isfinite(result.final.score).all()
     env = make(num_worlds=2)
     action = make_actor(env, network="mlp")(env.reset())["action"]

@@ -9,7 +9,7 @@ import pytest
 import torch
 from torchrl.envs.utils import ExplorationType, exploration_type, set_exploration_type
 
-from evogymcm.algos import evaluate, make_actor, train
+from evogymcm.algos import Trainer, evaluate, make_actor
 from evogymcm.algos.learning.threads import exploration, limited_threads
 from tests.algos.learning.test_training import TINY
 from tests.algos.toy_env import ToyEnv
@@ -38,12 +38,12 @@ def weights(result):
 
 
 def test_two_runs_in_threads_are_those_of_each_alone(two_threads):
-    alone = [train(make_noisy, config) for config in SETTINGS]
+    alone = [Trainer(make_noisy, config).train() for config in SETTINGS]
     barrier = threading.Barrier(2, timeout=60)
     before = torch.get_rng_state()
 
     def run(config):
-        return train(make_noisy, config, progress=lambda state: barrier.wait())  # update by update at the same time
+        return Trainer(make_noisy, config).train(progress=lambda state: barrier.wait())
 
     with ThreadPoolExecutor(2) as pool:
         together = list(pool.map(run, SETTINGS))

@@ -9,7 +9,7 @@ from dataclasses import asdict, replace
 import pytest
 import torch
 
-from evogymcm.algos import PPOConfig, RunFolder, Trainer, evaluate, load_actor, make_actor, train
+from evogymcm.algos import PPOConfig, RunFolder, Trainer, evaluate, load_actor, make_actor
 from tests.algos.toy_env import SMALL, WIDE, ToyEnv
 
 TINY = PPOConfig(total_steps=960, num_worlds=8, rollout_steps=20, epochs=2, minibatch=80, hidden=16, eval_interval=400)
@@ -29,7 +29,7 @@ def test_it_learns_to_walk():
         total_steps=14_000, num_worlds=16, rollout_steps=40, minibatch=320, learning_rate=3e-3, gamma=0.9,
         reward_scale=10, hidden=32, eval_interval=0,
     )  # fmt: skip
-    result = train(make_toy, config)
+    result = Trainer(make_toy, config).train()
     untrained, trained = result.rows[0]["score"], result.final.score.mean()
     assert untrained < 0.1
     assert trained > 0.5
@@ -39,7 +39,7 @@ def test_it_learns_to_walk():
 
 def test_several_bodies_learn_in_one_batch():
     config = replace(TINY, eval_worlds=2)
-    result = train(functools.partial(ToyEnv, bodies=[SMALL, WIDE]), config)
+    result = Trainer(functools.partial(ToyEnv, bodies=[SMALL, WIDE]), config).train()
     assert result.final.score.shape == (2,)
 
 
@@ -47,10 +47,10 @@ def test_several_bodies_learn_in_one_batch():
 def test_same_seed_same_policy(material):
     make = functools.partial(make_toy, material=material, noise=0.1)
     config = replace(TINY, total_steps=480)
-    first, second = train(make, config), train(make, config)
+    first, second = Trainer(make, config).train(), Trainer(make, config).train()
     assert _same(_weights(first), _weights(second))
     assert first.rows[-1]["score"] == second.rows[-1]["score"]
-    assert not _same(_weights(first), _weights(train(make, replace(config, seed=1))))
+    assert not _same(_weights(first), _weights(Trainer(make, replace(config, seed=1)).train()))
 
 
 def test_global_state_is_left_alone():
@@ -58,13 +58,13 @@ def test_global_state_is_left_alone():
     expected = torch.rand(3)
     torch.manual_seed(5)
     threads = torch.get_num_threads()
-    load_actor(train(make_toy, TINY).best)
+    load_actor(Trainer(make_toy, TINY).train().best)
     assert torch.equal(torch.rand(3), expected)
     assert torch.get_num_threads() == threads
 
 
 def test_the_policy_of_a_run_that_is_over_draws_as_torch_is_seeded():
-    actor, state, actions = train(make_toy, replace(TINY, total_steps=160)).actor, make_toy().reset(), []
+    actor, state, actions = Trainer(make_toy, replace(TINY, total_steps=160)).train().actor, make_toy().reset(), []
     for seed in (0, 0, 1):
         torch.manual_seed(seed)
         actions.append(actor(state.clone())["action", "actuation"])
@@ -74,7 +74,7 @@ def test_the_policy_of_a_run_that_is_over_draws_as_torch_is_seeded():
 
 def test_rows_and_progress_tell_the_whole_run():
     told = []
-    result = train(make_toy, TINY, progress=told.append)
+    result = Trainer(make_toy, TINY).train(progress=told.append)
     assert [row["env_steps"] for row in result.rows] == list(range(0, 961, 160))
     assert [progress.row for progress in told] == result.rows
     assert [row["env_steps"] for row in result.rows if "score" in row] == [0, 480, 800, 960]
@@ -84,15 +84,17 @@ def test_rows_and_progress_tell_the_whole_run():
 @pytest.mark.parametrize("updates", [1, 4])
 def test_a_stopped_run_goes_on_to_the_same_result(tmp_path, updates):
     make = functools.partial(make_toy, noise=0.1)
-    whole = train(make, TINY)
+    whole = Trainer(make, TINY).train()
     calls = iter(range(100))
     run = RunFolder(tmp_path / "run", asdict(TINY))
-    stopped = train(make, TINY, run=run, should_stop=lambda: next(calls) >= updates)
+    stopped = Trainer(make, TINY).train(run=run, should_stop=lambda: next(calls) >= updates)
     assert not stopped.finished
     assert stopped.final is None
     assert stopped.env_steps == 160 * updates
     told = []
-    resumed = train(make, TINY, run=RunFolder(tmp_path / "run", asdict(TINY), resume=True), progress=told.append)
+    resumed = Trainer(make, TINY).train(
+        run=RunFolder(tmp_path / "run", asdict(TINY), resume=True), progress=told.append
+    )
     assert told[0].env_steps == 160 * updates
     assert resumed.finished
     assert _same(_weights(whole), _weights(resumed))
@@ -101,7 +103,7 @@ def test_a_stopped_run_goes_on_to_the_same_result(tmp_path, updates):
 
 
 def test_a_killed_run_goes_on_from_its_last_checkpoint(tmp_path):
-    whole = train(make_toy, TINY)
+    whole = Trainer(make_toy, TINY).train()
 
     def crash(progress):
         if progress.env_steps == 640:
@@ -109,9 +111,9 @@ def test_a_killed_run_goes_on_from_its_last_checkpoint(tmp_path):
 
     run = RunFolder(tmp_path / "run", asdict(TINY))
     with pytest.raises(RuntimeError, match="power cut"):
-        train(make_toy, TINY, run=run, progress=crash)
+        Trainer(make_toy, TINY).train(run=run, progress=crash)
     assert run.rows()[-1]["env_steps"] == 640  # the checkpoint is of 480
-    resumed = train(make_toy, TINY, run=RunFolder(tmp_path / "run", asdict(TINY), resume=True))
+    resumed = Trainer(make_toy, TINY).train(run=RunFolder(tmp_path / "run", asdict(TINY), resume=True))
     assert _same(_weights(whole), _weights(resumed))
     assert [row["env_steps"] for row in resumed.rows] == [row["env_steps"] for row in whole.rows]
 
@@ -138,11 +140,11 @@ def test_every_environment_is_closed_after_a_failure_too():
         raise RuntimeError("power cut")
 
     with pytest.raises(RuntimeError, match="power cut"):
-        train(Broken, TINY, progress=crash)  # after an evaluation
+        Trainer(Broken, TINY).train(progress=crash)  # after an evaluation
     with pytest.raises(RuntimeError, match="blew up"):
-        train(functools.partial(Broken, fails_at=30), TINY)  # within one
+        Trainer(functools.partial(Broken, fails_at=30), TINY).train()  # within one
     with pytest.raises(ValueError, match="flat observation"):
-        train(functools.partial(Broken, bodies=[SMALL, WIDE]), replace(TINY, network="mlp"))
+        Trainer(functools.partial(Broken, bodies=[SMALL, WIDE]), replace(TINY, network="mlp")).train()
     assert {*map(id, made)} == {*map(id, closed)}
     assert len(made) == 5
 
@@ -153,7 +155,7 @@ def test_ctrl_c_ends_after_the_update_with_a_checkpoint(tmp_path):
             os.kill(os.getpid(), signal.SIGINT)
 
     run = RunFolder(tmp_path / "run", asdict(TINY))
-    result = train(make_toy, TINY, run=run, progress=press)
+    result = Trainer(make_toy, TINY).train(run=run, progress=press)
     assert not result.finished
     assert run.load("checkpoint")["trainer"]["env_steps"] == 320
 
@@ -165,7 +167,7 @@ def test_run_folder_holds_policies_that_load(tmp_path):
         seeds.append(seed)
         return make_toy(num_worlds=num_worlds, seed=seed)
 
-    result = train(make, TINY, run=run)
+    result = Trainer(make, TINY).train(run=run)
     actor = make_actor(make_toy(num_worlds=1), TINY.hidden)
     actor.load_state_dict(run.load("final")["actor"])
     assert evaluate(actor, make_toy(num_worlds=1, seed=seeds[-1])).score[0] == result.final.score[0]
@@ -173,7 +175,7 @@ def test_run_folder_holds_policies_that_load(tmp_path):
     actor.load_state_dict(best["actor"])
     assert evaluate(actor, make_toy(num_worlds=1, seed=seeds[-1])).score[0] == best["row"]["score"] == result.best_score
     assert run.rows() == json.loads(json.dumps(result.rows))
-    again = train(make_toy, TINY, run=RunFolder(tmp_path / "run", asdict(TINY), resume=True))
+    again = Trainer(make_toy, TINY).train(run=RunFolder(tmp_path / "run", asdict(TINY), resume=True))
     assert again.env_steps == result.env_steps
     assert again.final.score[0] == result.final.score[0]
 

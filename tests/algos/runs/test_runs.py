@@ -12,7 +12,7 @@ import pytest
 import torch
 
 from evogymcm._files import write_atomic
-from evogymcm.algos import RunFolder, RunInUseError, stop_on_interrupt, train
+from evogymcm.algos import RunFolder, RunInUseError, Trainer, stop_on_interrupt
 from tests.algos.learning.test_training import TINY
 from tests.algos.toy_env import ToyEnv
 
@@ -63,13 +63,13 @@ def test_one_process_at_a_time_works_on_a_run_and_a_killed_one_leaves_no_lock(tm
         run = RunFolder(tmp_path / "run", {}, resume=True)
         run.append({"env_steps": 0, "score": 0.0})
         with pytest.raises(RunInUseError, match=r"run is in use: another process"):
-            train(ToyEnv, TINY, run=run)
+            Trainer(ToyEnv, TINY).train(run=run)
         with pytest.raises(RunInUseError):
             RunFolder(tmp_path / "run", {}, overwrite=True)
         assert run.rows() == [{"env_steps": 0, "score": 0.0}]  # to be read, and as it was
         assert run.load("checkpoint") is None
         process.kill()
-    assert train(ToyEnv, TINY, run=run).finished
+    assert Trainer(ToyEnv, TINY).train(run=run).finished
     assert len(run.rows()) == 7
 
 
