@@ -26,9 +26,9 @@ class Scene:
     """What to show.
 
     Attributes:
-        run: whose policy.
-        arm: its label.
-        policy: the file.
+        run: the run whose policy acts.
+        arm: label of the run's arm.
+        policy: file of the policy.
         design: a record of the body and its stiffness in co-design, None in training.
     """
 
