@@ -1,69 +1,61 @@
 """The command line: `python -m evogymcm COMMAND`, also installed as `evogymcm`."""
 
-import argparse
 import logging
 import os
 import sys
 from collections.abc import Sequence
-from types import MappingProxyType, ModuleType
-from typing import Any
+from dataclasses import make_dataclass
+from importlib import import_module
+from types import MappingProxyType
+from typing import Annotated, Any, Union
+
+import tyro
 
 from evogymcm import __version__
-from evogymcm.commands import codesign, report, selfcheck, tasks, train, warmup, watch
-from evogymcm.commands._completion import SHELLS, print_completion
-from evogymcm.commands._errors import UsageError
+from evogymcm._settings import check_choice
+from evogymcm.commands._errors import UsageError, checking_arguments
 from evogymcm.commands._options import INTERRUPTED
 
-_COMMANDS: MappingProxyType[str, ModuleType] = MappingProxyType(
+COMMANDS: MappingProxyType[str, str] = MappingProxyType(  # modules of `evogymcm.commands`, and what they do
     {
-        "warmup": warmup,
-        "selfcheck": selfcheck,
-        "tasks": tasks,
-        "watch": watch,
-        "train": train,
-        "codesign": codesign,
-        "report": report,
+        "warmup": "compile the simulator once and keep it on disk",
+        "selfcheck": "compare this machine's bits with the package's",
+        "tasks": "list the tasks: ids, episode lengths, score ceilings, what they ask for",
+        "watch": "show robots at work, in a window or as a video",
+        "train": "train a policy for given bodies",
+        "codesign": "evolve bodies, materials and control together",
+        "report": "make an HTML report of training, co-design or suite folders",
     }
 )
 _BROKEN_PIPE = 141  # exit status, as shells have it
-_EXAMPLES = """examples:
+_DESCRIPTION = """Voxel soft robots with continuous stiffness: simulation, learning, co-design.
+
+examples:
   evogymcm tasks
   evogymcm train Walker-v0 --body Walk_Bot --run runs/first
   evogymcm watch --policy runs/first
   evogymcm codesign BridgeWalker-v0 --arm invariant
   evogymcm COMMAND --help    # all options of a command
-  evogymcm --print-completion bash > ~/.local/share/bash-completion/completions/evogymcm"""
+  evogymcm --print-completion bash > ~/.local/share/bash-completion/completions/evogymcm
+  evogymcm --version"""
 
 
-class _PrintCompletion(argparse.Action):
-    """Prints a completion script, and ends."""
-
-    def __call__(self, parser: argparse.ArgumentParser, namespace: Any, values: Any, option_string: Any = None) -> None:
-        subparsers = next(action for action in parser._actions if isinstance(action, argparse._SubParsersAction))
-        options = {name: module.options() for name, module in _COMMANDS.items() if hasattr(module, "options")}
-        parsers = {name: known for name, known in subparsers.choices.items() if name not in options}
-        print_completion(values, parsers, options)
-        parser.exit()
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="evogymcm",
-        description="Voxel soft robots with continuous stiffness: simulation, learning, co-design.",
-        epilog=_EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument("--version", action="version", version=f"evogymcm {__version__}")
-    parser.add_argument(
-        "--print-completion",
-        action=_PrintCompletion,
-        choices=SHELLS,
-        help="print the script that lets a shell complete commands and options",
-    )
-    subparsers = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
-    for command in _COMMANDS.values():
-        command.add_parser(subparsers)
-    return parser
+def _parse(arguments: Sequence[str]) -> Any:
+    """Returns the options of the command, an object of its module's `Options`."""
+    is_completed = arguments[:1] == ["--print-completion"]
+    if is_completed:  # by tyro, under a name that says so
+        check_choice("--print-completion", "".join(arguments[1:]), ("bash", "zsh", "fish"))
+        arguments = ["--tyro-print-completion", *arguments[1:]]
+    kinds = []
+    for name, about in COMMANDS.items():
+        kind: Any = make_dataclass(name, ())  # of the others the name is enough; their settings take time to load
+        if is_completed or name in arguments[:1]:
+            module = import_module(f"evogymcm.commands.{name}")
+            kind, about = module.Options, about if is_completed else module.DESCRIPTION
+        kinds.append(Annotated[kind, tyro.conf.subcommand(name, prefix_name=False, description=about)])
+    every: Any = Union[tuple(kinds)]  # noqa: UP007  (of a tuple)
+    config = (tyro.conf.FlagCreatePairsOff,)
+    return tyro.cli(every, prog="evogymcm", description=_DESCRIPTION, args=arguments, config=config)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -71,23 +63,26 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     What goes wrong later than that is raised, with its traceback.
     """
-    parser = _parser()
-    parsed, rest = parser.parse_known_args(arguments)
-    if rest and not getattr(parsed, "takes_rest", False):
-        parser.error(f"unrecognized arguments: {' '.join(rest)}")
-    parsed.rest = rest  # for commands whose options are tyro's
+    arguments = list(sys.argv[1:] if arguments is None else arguments)
+    if arguments == ["--version"]:
+        print(f"evogymcm {__version__}")
+        return 0
     logging.basicConfig(format="%(message)s")
     try:
-        status = int(parsed.run(parsed) or 0)
+        with checking_arguments():  # what settings say of their values
+            options = _parse(arguments)
+        status = int(import_module(f"evogymcm.commands.{arguments[0]}").run(options, arguments[1:]) or 0)
         sys.stdout.flush()
         return status
     except UsageError as error:
-        parser.exit(2, f"evogymcm: {error}\n")
+        print(f"evogymcm: {error}", file=sys.stderr)
+        sys.exit(2)
     except BrokenPipeError:  # `evogymcm tasks | head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # nothing more can be said there
         return _BROKEN_PIPE
     except KeyboardInterrupt:
-        parser.exit(INTERRUPTED, "evogymcm: interrupted\n")
+        print("evogymcm: interrupted", file=sys.stderr)
+        sys.exit(INTERRUPTED)
 
 
 if __name__ == "__main__":

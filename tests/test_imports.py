@@ -20,7 +20,9 @@ def run(code):
 
 
 def layer(module):
-    """The layer's number, or None for what all layers may use."""
+    """The layer's number, or None for what all layers may use; benchmarks are known by their file's name alone."""
+    if (ROOT / "benchmarks" / f"{module.split('.')[0]}.py").exists():
+        module = f"benchmarks.{module}"
     numbers = [i for i, name in enumerate(LAYERS) if module == name or module.startswith(f"{name}.")]
     return numbers[0] if numbers else None
 

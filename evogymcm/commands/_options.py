@@ -16,7 +16,6 @@ if TYPE_CHECKING:  # both load torch or numba, which help texts do without
     from evogymcm.algos.runs.folder import RunFolder
     from evogymcm.body import Body
 
-STANDARD_BODY = "HHHHH/HHHHH/HH.HH/VV.VV/VV.VV"
 INTERRUPTED = 130  # exit status after Ctrl-C, as shells have it
 
 LoggerName = Literal["none", "csv", "tensorboard", "wandb"]
@@ -38,34 +37,6 @@ def choose_task(task: str | None, world: Path | None) -> str:
 
     World.load(world)
     return str(world)
-
-
-def default_body(task: str) -> str:
-    """Returns the EvoGymCM paper's robot for a task or that of a world's file, the standard body without either."""
-    from evogymcm import robot_tasks
-    from evogymcm.sim.world import World, is_world_file
-
-    if is_world_file(task) and (robot := World.load(task).find_robot()) is not None:
-        from evogymcm.body import Body
-
-        return _as_text(Body(robot.grid, robot.connections), task)
-    return next((robot for robot, own in robot_tasks.items() if own == task), STANDARD_BODY)
-
-
-def choose_bodies(texts: Sequence[str], task: str) -> list[str]:
-    """Returns the bodies of --body as texts that mean the same wherever a run is looked at; by default the task's own.
-
-    Raises:
-        ValueError: One is not valid.
-    """
-    from evogymcm.body import as_body, is_body_file
-
-    return [_as_text(as_body(text), text) if is_body_file(text) else text for text in texts or [default_body(task)]]
-
-
-def _as_text(body: "Body", path: str) -> str:
-    """Returns a file's body as rows of voxels; the file's path where its connections cannot be written so."""
-    return body.text if body.has_default_connections else path
 
 
 def read_stiffness(texts: Sequence[str], bodies: "Sequence[str | Body]") -> "list[np.ndarray] | None":

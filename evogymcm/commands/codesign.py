@@ -1,19 +1,23 @@
 """`evogymcm codesign`: evolve bodies together with their material and control, kept in a run folder."""
 
-import argparse
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
+import tyro
+from tyro.conf import arg
+
+from evogymcm._settings import EdgeRule
+from evogymcm.algos.codesign.config import CodesignConfig
 from evogymcm.commands._errors import checking_arguments
 from evogymcm.commands._options import INTERRUPTED, Bar, how_to_resume, open_run, write_stiffness
 
 if TYPE_CHECKING:
-    from evogymcm.algos.codesign.run import CodesignConfig, CodesignProgress, CodesignResult
+    from evogymcm.algos.codesign.run import CodesignProgress, CodesignResult
     from evogymcm.algos.runs.folder import RunFolder
 
-_DESCRIPTION = """Evolves bodies together with their material and control, and keeps all of it in a run folder.
+DESCRIPTION = """Evolves bodies together with their material and control, and keeps all of it in a run folder.
 
 arms:
   reactive      bodies evolve, and their policies set stiffness
@@ -29,80 +33,58 @@ examples:
   evogymcm codesign Walker-v0 --arm fixed --rungs 0.25 0.5 --keep 0.5 0.5 --ppo.total-steps 200000"""
 
 
-def add_parser(subparsers: Any) -> None:
-    """Adds the command to a parser; its options are tyro's, see `options`."""
-    parser = subparsers.add_parser("codesign", help="evolve bodies, materials and control together", add_help=False)
-    parser.set_defaults(run=run, takes_rest=True)
+@dataclass(frozen=True)
+class Settings(CodesignConfig):
+    """The same with the task in front, and choices where tyro can name them."""
+
+    task: Annotated[tyro.conf.Positional[str], arg(metavar="TASK")] = tyro.MISSING
+    arm: Literal["reactive", "fixed", "invariant", "prescribed"] = "reactive"
+    method: Literal["ga", "random", "qd"] = "ga"
+    edge_rule: EdgeRule = "mean_factor"
 
 
-def options() -> type:
-    """Returns the dataclass of the command line; making it loads torch."""
-    import tyro
-    from tyro.conf import arg
-
-    from evogymcm.algos.codesign.run import CodesignConfig
-
-    @dataclass(frozen=True)
-    class Settings(CodesignConfig):  # with the task in front, and choices where tyro can name them
-        task: Annotated[tyro.conf.Positional[str], arg(metavar="TASK")] = tyro.MISSING
-        arm: Literal["reactive", "fixed", "invariant", "prescribed"] = "reactive"
-        method: Literal["ga", "random", "qd"] = "ga"
-        edge_rule: Literal["mean_factor", "mean_stiffness"] = "mean_factor"
-
-    Settings.__doc__ = CodesignConfig.__doc__  # where tyro finds what the fields mean
-
-    @dataclass(frozen=True)
-    class CodesignOptions:
-        """Options of the command.
-
-        Attributes:
-            config: settings of the run.
-            run: folder of the run.
-            resume: go on with the run in the folder.
-            overwrite: replace the run in the folder.
-        """
-
-        config: Annotated[Settings, arg(name="")]
-        run: Annotated[
-            Path | None, arg(metavar="FOLDER", help_behavior_hint="(default: runs/TASK-codesign-ARM-seedSEED)")
-        ] = None
-        resume: bool = False
-        overwrite: bool = False
-
-    return CodesignOptions
+Settings.__doc__ = CodesignConfig.__doc__  # where tyro finds what the fields mean
 
 
-def without_choices(settings: Any) -> "CodesignConfig":
+@dataclass(frozen=True)
+class Options:
+    """Options of the command.
+
+    Attributes:
+        config: settings of the run.
+        run: folder of the run.
+        resume: go on with the run in the folder.
+        overwrite: replace the run in the folder.
+    """
+
+    config: Annotated[Settings, arg(name="")]
+    run: Annotated[
+        Path | None, arg(metavar="FOLDER", help_behavior_hint="(default: runs/TASK-codesign-ARM-seedSEED)")
+    ] = None
+    resume: bool = False
+    overwrite: bool = False
+
+
+def without_choices(settings: Any) -> CodesignConfig:
     """Returns the settings of the command line as the library has them: equal to those made there."""
-    from evogymcm.algos.codesign.run import CodesignConfig
-
     return CodesignConfig(**{item.name: getattr(settings, item.name) for item in fields(CodesignConfig)})
 
 
-def run(args: argparse.Namespace) -> int:
+def run(options: Options, arguments: Sequence[str]) -> int:
     """Evolves and returns the exit status.
 
     Raises:
         UsageError: An argument cannot be used, or an optional package is missing.
     """
-    import tyro
-
     with checking_arguments():
-        given: Any = tyro.cli(
-            options(),
-            prog="evogymcm codesign",
-            description=_DESCRIPTION,
-            args=args.rest,
-            config=(tyro.conf.FlagCreatePairsOff,),
-        )
-        config = without_choices(given.config)
+        config = without_choices(options.config)
         config.check()
-        path = given.run or Path("runs") / f"{Path(config.task).stem}-codesign-{config.arm}-seed{config.seed}"
-        folder = open_run(path, asdict(config), resume=given.resume, overwrite=given.overwrite)
-    return _codesign(config, folder, args.rest)
+        path = options.run or Path("runs") / f"{Path(config.task).stem}-codesign-{config.arm}-seed{config.seed}"
+        folder = open_run(path, asdict(config), resume=options.resume, overwrite=options.overwrite)
+    return _codesign(config, folder, arguments)
 
 
-def _codesign(config: "CodesignConfig", folder: "RunFolder", arguments: Sequence[str]) -> int:
+def _codesign(config: CodesignConfig, folder: "RunFolder", arguments: Sequence[str]) -> int:
     from evogymcm.algos.codesign.cost import cost_of
     from evogymcm.algos.codesign.run import codesign
     from evogymcm.algos.learning.memory import keep_freed_memory
@@ -118,7 +100,6 @@ def _codesign(config: "CodesignConfig", folder: "RunFolder", arguments: Sequence
         result = codesign(config, run=folder, progress=lambda state: _show(bar, state))
         if result.finished and result.best is not None:  # with what scoring has done since the last update
             bar.show(result.env_steps, {"best": f"{result.best.fitness:.3f}"})
-    folder.write_json("result.json", _record(config, result))
     if result.best is not None:
         _print_best(config, result, folder.path)
     if result.finished:
@@ -134,24 +115,7 @@ def _show(bar: Bar, state: "CodesignProgress") -> None:
     bar.show(state.env_steps, numbers)
 
 
-def _record(config: "CodesignConfig", result: "CodesignResult") -> dict[str, Any]:
-    """Returns the numbers of a run, named as in the benchmark suite's records."""
-    from evogymcm import __version__
-
-    return {
-        "evogymcm": __version__,
-        "task": config.task,
-        "arm": config.arm,
-        "seed": config.seed,
-        "finished": result.finished,
-        "env_steps": result.env_steps,
-        "bodies": len({row["index"] for row in result.rows}),
-        "best": None if result.best is None else result.best.record(),
-        "curve": sorted({row["env_steps"]: row["best"] for row in result.rows}.items()),
-    }
-
-
-def _print_best(config: "CodesignConfig", result: "CodesignResult", path: Path) -> None:
+def _print_best(config: CodesignConfig, result: "CodesignResult", path: Path) -> None:
     """Prints the best design with its score, had again in a fresh world."""
     import numpy as np
 

@@ -1,29 +1,39 @@
 """`evogymcm report`: what run folders hold, as one HTML file."""
 
-import argparse
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated
+
+import tyro
 
 from evogymcm.commands._errors import checking_arguments
 
+DESCRIPTION = """Makes one HTML file of training, co-design or suite folders.
 
-def add_parser(subparsers: Any) -> None:
-    """Adds the command to a parser."""
-    parser = subparsers.add_parser("report", help="make an HTML report of training, co-design or suite folders")
-    parser.add_argument(
-        "runs",
-        nargs="+",
-        type=Path,
-        metavar="RUN",
-        help="folder of a training run, a co-design run, a suite, or several runs; arms are compared side by side",
-    )
-    parser.add_argument("--out", type=Path, default=Path("report.html"), metavar="FILE", help="default: report.html")
-    parser.add_argument("--overwrite", action="store_true", help="replace an existing file")
-    parser.add_argument("--no-animations", action="store_true", help="leave out the designs in motion")
-    parser.set_defaults(run=run)
+examples:
+  evogymcm report runs/first
+  evogymcm report runs/first runs/second --out compared.html"""
 
 
-def run(args: argparse.Namespace) -> int:
+@dataclass(frozen=True)
+class Options:
+    """Options of the command.
+
+    Attributes:
+        runs: folder of a training run, a co-design run, a suite, or several runs; they are compared side by side.
+        out: the file to write.
+        overwrite: replace an existing file.
+        no_animations: leave out the designs in motion.
+    """
+
+    runs: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="RUN", help_behavior_hint="")] = ()
+    out: Annotated[Path, tyro.conf.arg(metavar="FILE")] = Path("report.html")
+    overwrite: bool = False
+    no_animations: bool = False
+
+
+def run(options: Options, arguments: Sequence[str]) -> int:
     """Writes the report and returns the exit status.
 
     Raises:
@@ -33,9 +43,9 @@ def run(args: argparse.Namespace) -> int:
 
     with checking_arguments():
         try:
-            sources = prepare(args.runs, args.out, overwrite=args.overwrite)
+            sources = prepare(options.runs, options.out, overwrite=options.overwrite)
         except FileExistsError:
-            raise ValueError(f"out: {args.out} exists (--overwrite)") from None
-    write_page(sources, args.out, animations=not args.no_animations)
-    print(f"wrote {args.out}")
+            raise ValueError(f"out: {options.out} exists (--overwrite)") from None
+    write_page(sources, options.out, animations=not options.no_animations)
+    print(f"wrote {options.out}")
     return 0

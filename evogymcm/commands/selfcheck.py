@@ -1,8 +1,9 @@
 """`evogymcm selfcheck`: whether this machine computes the package's bits, and which part differs if not."""
 
-import argparse
 import json
-from typing import TYPE_CHECKING, Any
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from evogymcm._messages import some
 from evogymcm.commands._options import Bar
@@ -21,26 +22,29 @@ _ABOUT = {
     "friction": "contact as it is, takes tanh",
     "orientation": "takes acos",
 }
-_DESCRIPTION = """Simulates every task for a moment, always the same, and compares every bit with what the package was
+DESCRIPTION = """Simulates every task for a moment, always the same, and compares every bit with what the package was
 released with: about a second, once the simulator is compiled. Where bits differ, the table says whether the
-C library's functions do or the arithmetic does."""
+C library's functions do or the arithmetic does.
+
+examples:
+  evogymcm selfcheck
+  evogymcm selfcheck --json > selfcheck.json    # for a report"""
 
 
-def add_parser(subparsers: Any) -> None:
-    """Adds the command to a parser."""
-    parser = subparsers.add_parser(
-        "selfcheck",
-        help="compare this machine's bits with the package's",
-        description=_DESCRIPTION,
-        epilog="examples:\n  evogymcm selfcheck\n  evogymcm selfcheck --json > selfcheck.json    # for a report",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument("--json", action="store_true", help="print everything as one JSON object")
-    parser.add_argument("--write", action="store_true", help="make this machine's bits the package's (for maintainers)")
-    parser.set_defaults(run=run)
+@dataclass(frozen=True)
+class Options:
+    """Options of the command.
+
+    Attributes:
+        json: print everything as one JSON object.
+        write: make this machine's bits the package's (for maintainers).
+    """
+
+    json: bool = False
+    write: bool = False
 
 
-def run(args: argparse.Namespace) -> int:
+def run(options: Options, arguments: Sequence[str]) -> int:
     """Compares, and returns the exit status: 1 where anything differs."""
     from evogymcm.envs._selfcheck import ENV_STEPS, N_SETTINGS, REFERENCE
     from evogymcm.envs.tasks import own_tasks
@@ -48,11 +52,11 @@ def run(args: argparse.Namespace) -> int:
 
     with Bar(len(own_tasks()) * N_SETTINGS * ENV_STEPS) as bar:
         check = selfcheck(progress=lambda done: bar.show(done, {}))
-    if args.write:
+    if options.write:
         check.write()
         print(f"wrote {REFERENCE}: {len(check.differing())} of {len(check.parts)} hashes are new")
         return 0
-    print(json.dumps(check.as_dict(), indent=1) if args.json else "\n".join(_table(check)))
+    print(json.dumps(check.as_dict(), indent=1) if options.json else "\n".join(_table(check)))
     return 0 if check.is_equal else DIFFERENT
 
 

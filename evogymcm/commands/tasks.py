@@ -1,10 +1,10 @@
 """`evogymcm tasks`: a table of the tasks."""
 
-import argparse
-from collections.abc import Iterator, Mapping
-from typing import Any, NamedTuple
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
 
-from evogymcm.commands._options import STANDARD_BODY
+from evogymcm.algos.learning.bodies import STANDARD_BODY
 
 ABOUT: Mapping[str, str] = {  # what each task asks for; the order is that of the tables
     "Walker-v0": "walk on flat ground",
@@ -43,11 +43,23 @@ ABOUT: Mapping[str, str] = {  # what each task asks for; the order is that of th
     "HoleCrawler-v0": "get through a hole",
 }
 
-_DESCRIPTION = f"""Lists the tasks: episode length in env-steps, score ceiling for the body
-{STANDARD_BODY} (empty where a task has none), and what each asks for."""
-_EXAMPLES = """examples:
+DESCRIPTION = f"""Lists the tasks: episode length in env-steps, score ceiling for the body
+{STANDARD_BODY} (empty where a task has none), and what each asks for.
+
+examples:
   evogymcm tasks
   evogymcm tasks --long    # also the world, and what a policy observes of it"""
+
+
+@dataclass(frozen=True)
+class Options:
+    """Options of the command.
+
+    Attributes:
+        long: also the world and what is observed.
+    """
+
+    long: bool = False
 
 
 class Row(NamedTuple):
@@ -57,19 +69,6 @@ class Row(NamedTuple):
     about: str
     time_limit: int
     ceiling: str
-
-
-def add_parser(subparsers: Any) -> None:
-    """Adds the command to a parser."""
-    parser = subparsers.add_parser(
-        "tasks",
-        help="list the tasks: ids, episode lengths, score ceilings, what they ask for",
-        description=_DESCRIPTION,
-        epilog=_EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument("--long", action="store_true", help="also the world and what is observed")
-    parser.set_defaults(run=run)
 
 
 def table() -> Iterator[Row]:
@@ -86,15 +85,15 @@ def table() -> Iterator[Row]:
             yield Row(name, ABOUT.get(name, ""), tasks[name].time_limit, text)
 
 
-def run(args: argparse.Namespace) -> int:
+def run(options: Options, arguments: Sequence[str]) -> int:
     """Prints the table."""
     from evogymcm.envs.tasks import tasks
 
     head = f"{'id':22}  episode  ceiling  {'about':46}"
-    print((head + f"  {'world':22}  observes" if args.long else head).rstrip())
+    print((head + f"  {'world':22}  observes" if options.long else head).rstrip())
     for row in table():
         line = f"{row.id:22}  {row.time_limit:7}  {row.ceiling:>7}  {row.about:46}"
-        if args.long:
+        if options.long:
             task = tasks[row.id]
             world = task.world if isinstance(task.world, str) else "(its own)"
             line += f"  {world:22}  {', '.join(task.observes)}"

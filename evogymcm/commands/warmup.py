@@ -1,26 +1,22 @@
 """`evogymcm warmup`: compile the kernels and keep them on disk, so that nothing waits for it later."""
 
-import argparse
 import time
-from typing import Any
+from collections.abc import Sequence
+from dataclasses import dataclass
 
-_DESCRIPTION = """Compiles the simulator (about 25 s) and keeps it on disk. Without it the first simulation does
-the same; where the machine code is there already, this takes a moment."""
+DESCRIPTION = """Compiles the simulator (about 25 s) and keeps it on disk. Without it the first simulation does
+the same; where the machine code is there already, this takes a moment.
 
-
-def add_parser(subparsers: Any) -> None:
-    """Adds the command to a parser."""
-    parser = subparsers.add_parser(
-        "warmup",
-        help="compile the simulator once and keep it on disk",
-        description=_DESCRIPTION,
-        epilog="examples:\n  evogymcm warmup",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.set_defaults(run=run)
+examples:
+  evogymcm warmup"""
 
 
-def run(_: argparse.Namespace) -> int:
+@dataclass(frozen=True)
+class Options:
+    """There are none."""
+
+
+def run(options: Options, arguments: Sequence[str]) -> int:
     """Steps one world of a task that uses every kernel."""
     import numpy as np
 

@@ -3,7 +3,7 @@
 Arrays are indexed by world and by cell of the padded grid (V cells, bodies in the upper left corner).
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -12,8 +12,10 @@ from evogymcm.body import Body
 from evogymcm.envs import checks
 from evogymcm.envs.actions import checked_action
 from evogymcm.envs.dealing import MATERIALS, BodySpec, Start, as_bodies, check_grid_shape, deal_fields
+from evogymcm.envs.episodes import Episodes
 from evogymcm.envs.reader import Reader, Sensed
-from evogymcm.envs.streams import BodySource, BodyStream, is_source, pack_bodies, unpack_bodies
+from evogymcm.envs.states import checked_arrays, checked_part
+from evogymcm.envs.streams import BodySource, BodyStream, is_source, pack_bodies
 from evogymcm.envs.task import Snapshot, Task
 from evogymcm.envs.tasks import as_task
 from evogymcm.envs.voxels import N_FEATURES, N_SIDES, describe
@@ -21,15 +23,10 @@ from evogymcm.sim.constants import ACTUATION_HIGH, ACTUATION_LOW, STIFFNESS_HIGH
 from evogymcm.sim.simulator import Simulator
 from evogymcm.sim.world import World
 
-UNSTABLE_PENALTY = -3.0
 MOST_POINTS = 4  # that a voxel can have of its own
-_ONE = np.array(1)  # numpy takes arrays faster than Python's numbers
-# Arrays that a step can change, besides the simulator and the task's memory.
-_FLAGS = ("terminated", "truncated", "unstable", "reached")
-_STATE = ("actuation", "stiffness", "reward", "score", "returns", "length", *_FLAGS)
 
 
-class TaskEngine:
+class TaskEngine(Episodes):
     """N worlds of one task, each with its body, stepped and reset together.
 
     Args:
@@ -102,10 +99,10 @@ class TaskEngine:
             n, self.num_designs = len(designs) if num_worlds is None else num_worlds, len(designs)
         if n < 1:
             raise ValueError(f"num_worlds: got {n}, at least 1 is needed")
-        self.num_worlds = n
         with checks.blaming(self.task):
             world = self.task.world if isinstance(self.task.world, World) else World.load(self.task.world)
             checks.check_fields(self.task, world)
+        super().__init__(self.task, n)
         self._start = Start(self.task, world)
         fields: np.ndarray | None
         if is_source(bodies):
@@ -142,11 +139,6 @@ class TaskEngine:
         self.actuation = np.ones((n, v))
         if fields is not None and material == "invariant":
             self.simulator.set_stiffness(self.stiffness)
-        self.reward, self.score, self.returns = np.zeros(n), np.zeros(n), np.zeros(n)
-        self.length = np.zeros(n, np.int64)
-        self.terminated, self.truncated, self.unstable, self.reached = (np.zeros(n, bool) for _ in _FLAGS)
-        self._time_limit = np.array(min(self.task.time_limit, np.iinfo(np.int64).max))
-        self.memory: dict[str, np.ndarray] = {}
         if self._stream is not None:
             self._stream.is_new[:] = True
         with checks.blaming(self.task):
@@ -166,15 +158,20 @@ class TaskEngine:
     def _change_bodies(self, worlds: np.ndarray, bodies: Sequence[Body]) -> None:
         """Gives worlds other bodies, at reset and with stiffness 1."""
         robots = [self._start.robot(body) for body in bodies]
-        changed = list(self.bodies)
-        for world, body, robot in zip(worlds.tolist(), bodies, robots, strict=True):
+        for world, robot in zip(worlds.tolist(), robots, strict=True):
             self.simulator.set_robot(robot, world)
+        self._show_bodies(worlds.tolist(), bodies)
+
+    def _show_bodies(self, worlds: Sequence[int], bodies: Sequence[Body]) -> None:
+        """Has all that is said of some worlds be of other bodies."""
+        changed = list(self.bodies)
+        for world, body in zip(worlds, bodies, strict=True):
             self._reader.clear(world)
             changed[world] = body
         self.bodies = tuple(changed)
         for name in ("occupancy", "actuators", "types"):  # those that were shown stay as they were
             setattr(self, name, getattr(self, name).copy())
-        self._describe(worlds.tolist())
+        self._describe(worlds)
 
     def _go_on(self, stream: BodyStream, chosen: np.ndarray) -> bool:
         """Gives the chosen worlds their next bodies, where the present one has begun an episode; returns if any had."""
@@ -203,26 +200,12 @@ class TaskEngine:
         self.actuation[chosen] = 1.0
         if self.material == "reactive":
             self.stiffness[chosen] = 1.0
-        for values in (self.reward, self.score, self.returns, self.length):
-            values[chosen] = 0
-        for name in _FLAGS:
-            getattr(self, name)[chosen] = False
+        self._begin(chosen)
         self._reader.remember(self.memory, chosen)
         self._renew_voxels(mask)
         self._reader.read(np.flatnonzero(chosen), 0)
         if has_changed:
             self.score_ceiling = np.where(chosen, self._ceiling(), self.score_ceiling)
-
-    def _draw(self, chosen: np.ndarray) -> None:
-        """Draws what the episodes of the chosen worlds hold at random, each from its world's own generator."""
-        if type(self.task).draw is Task.draw and not self.task.moves_at_reset:
-            return  # nothing
-        for world in np.flatnonzero(chosen):
-            row = checks.checked_draw(self.task, self.task.draw(self._rngs[world]), self.memory)
-            if not self.memory:
-                self.memory = {name: np.zeros((self.num_worlds, *v.shape), v.dtype) for name, v in row.items()}
-            for name, value in row.items():
-                self.memory[name][world] = value
 
     def step(self, actuation: np.ndarray, stiffness: np.ndarray | None = None, mask: np.ndarray | None = None) -> None:
         """Advances the worlds by one env-step; what comes of it is in the attributes.
@@ -262,7 +245,7 @@ class TaskEngine:
         unstable = self.simulator.step(self.actuation, factors, mask, reader.read)
         if mask is not None:
             reader.keep(~mask)
-        self._reward(mask, unstable)
+        self._settle(reader.before, reader.now, unstable, mask)
 
     def _checked_stiffness(self, stiffness: np.ndarray | None, occupancy: np.ndarray) -> np.ndarray:
         """Returns the stiffness of an action, see `checked_action`; ValueError where it is missing or not wanted."""
@@ -277,43 +260,6 @@ class TaskEngine:
         if self.with_voxels:
             self.voxels = np.empty_like(self._template) if mask is None else self.voxels.copy()
             self._reader.sense(Sensed(self.stiffness, self.actuation, self._template, self.voxels))
-
-    def _reward(self, mask: np.ndarray | None, unstable: np.ndarray) -> None:
-        """Rewards and endings of the step, for the worlds of the mask."""
-        before, now, n = self._reader.before, self._reader.now, self.num_worlds
-        reward = checks.checked_reward(self.task.reward(before, now), n)
-        terminated, reached = unstable.copy(), np.zeros(n, bool)
-        broke_down = np.count_nonzero(unstable)  # `any` takes four times as long for one world
-        if broke_down:
-            reward += np.where(unstable, UNSTABLE_PENALTY, 0.0)
-        for condition, bonus, is_goal in checks.checked_endings(self.task, now):
-            if np.count_nonzero(condition):
-                reward += np.where(condition, bonus, 0.0)
-                terminated |= condition
-                reached |= condition & is_goal
-        if broke_down:
-            reached &= ~unstable  # an unstable step goes nowhere
-        if self.memory:
-            self._remember(mask)
-        length, score, returns = self.length + _ONE, self.returns, self.returns + reward
-        truncated = length >= self._time_limit
-        if mask is not None:
-            reward = np.where(mask, reward, 0.0)  # of those that have made no step
-            length, score = np.where(mask, length, self.length), np.where(mask, score, self.score)
-            returns = np.where(mask, returns, self.returns)
-            terminated, truncated = (
-                np.where(mask, terminated, self.terminated),
-                np.where(mask, truncated, self.truncated),
-            )
-            unstable, reached = np.where(mask, unstable, self.unstable), np.where(mask, reached, self.reached)
-        self.length, self.score, self.reward, self.returns = length, score, reward, returns
-        self.terminated, self.truncated, self.unstable, self.reached = terminated, truncated, unstable, reached
-
-    def _remember(self, mask: np.ndarray | None) -> None:
-        """Takes up the task's memory for the next step, for the worlds of the mask."""
-        for name, values in checks.checked_memory(self.task.remember(self._reader.now), self.memory).items():
-            rows = True if mask is None else mask.reshape(-1, *([1] * (values.ndim - 1)))
-            self.memory[name] = np.where(rows, values, self.memory[name])
 
     @property
     def changes_bodies(self) -> bool:
@@ -350,7 +296,7 @@ class TaskEngine:
         None draws from the operating system. Nothing happens before the next reset.
         """
         seeds = checks.checked_seeds(seed, self.num_worlds)
-        self._rngs = [np.random.default_rng(value) for value in seeds]
+        self._seed(seeds)
         if self._stream is not None:
             self._stream.set_seed(seeds)
 
@@ -366,32 +312,39 @@ class TaskEngine:
             stream["stream"]["score_ceiling"] = self.score_ceiling.copy()
         return (
             stream
-            | {name: getattr(self, name).copy() for name in _STATE}
+            | self._saved()
             | {
+                "actuation": self.actuation.copy(),
+                "stiffness": self.stiffness.copy(),
                 "simulator": self.simulator.state(),
-                "memory": {name: values.copy() for name, values in self.memory.items()},
                 "shown": {name: values.copy() for name, values in self._reader.now.memory.items()},
-                "rngs": [rng.bit_generator.state for rng in self._rngs] if self.memory else [],
             }
         )
 
-    def set_state(self, state: dict[str, Any]) -> None:
-        """Takes up a state of an engine made with the same arguments."""
-        state = {"reached": np.zeros(self.num_worlds, bool)} | state  # which those of older releases lack
-        for name in _STATE:
-            setattr(self, name, np.array(state[name]))
-        self.memory = {name: np.array(values) for name, values in state["memory"].items()}
-        for rng, saved in zip(self._rngs, state["rngs"], strict=False):
-            rng.bit_generator.state = saved
-        if self._stream is not None:
-            saved = state["stream"]
-            self._stream.set_state(saved)
-            self._change_bodies(np.arange(self.num_worlds), unpack_bodies(saved["bodies"]))
-            self.score_ceiling = np.array(saved["score_ceiling"])
-        self.simulator.set_state(state["simulator"])
+    def set_state(self, state: Mapping[str, Any]) -> None:
+        """Takes up a state of an engine made with the same arguments.
+
+        Raises:
+            ValueError: It is of another engine; then nothing has changed.
+        """
+        checked = self._checked(state)
+        checked |= checked_arrays(state, {"actuation": self.actuation, "stiffness": self.stiffness})
+        shown, stream, robots = checked_arrays(state, self.memory, "shown"), self._stream, None
+        if stream is not None:
+            saved = checked_part(state, "stream")
+            place, bodies = stream.checked(saved)
+            checked |= checked_arrays(saved, {"score_ceiling": self.score_ceiling})
+            robots = [self._start.robot(body) for body in bodies]
+        elif "stream" in state:
+            raise ValueError("state: it is of a stream of bodies, here bodies stay")
+        self.simulator.set_state(checked_part(state, "simulator"), robots)
+        self._take_up(checked)
+        if stream is not None:
+            stream.take_up(place)
+            self._show_bodies(range(self.num_worlds), bodies)
         self.refresh()
         # The last observation was formed before the task's memory moved on.
-        self._reader.remember(state["shown"])
+        self._reader.remember(shown)
 
     def close(self) -> None:
         """Ends the simulator's threads; a later step starts them again."""

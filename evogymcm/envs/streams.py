@@ -8,6 +8,7 @@ import numpy as np
 from evogymcm._messages import brief
 from evogymcm.body import Body, as_body, check_stiffness
 from evogymcm.envs.dealing import BodySpec, is_row, on_grid
+from evogymcm.envs.states import checked_arrays, checked_part, checked_rngs
 
 Given = BodySpec | tuple[BodySpec, Any]  # a body, or a body and its stiffness field
 BodySource = Callable[[np.random.Generator], Given] | Iterator[Given]
@@ -82,25 +83,43 @@ class BodyStream:
             field = np.ones(body.shape) if stiffness is None else check_stiffness(stiffness, body)
         except (ValueError, TypeError) as error:
             raise ValueError(f"bodies: the stream gave {brief(given)}: {error}") from error
+        self._check_size(body)
+        return body, on_grid(field, self._grid_shape, 1.0)
+
+    def _check_size(self, body: Body) -> None:
         rows, columns = self._grid_shape
         if body.rows > rows or body.cols > columns:
             raise ValueError(
                 f"bodies: the stream gave {brief(body.text)} of shape {body.shape}, larger than grid_shape "
                 f"{self._grid_shape}"
             )
-        return body, on_grid(field, self._grid_shape, 1.0)
 
     def state(self) -> dict[str, Any]:
-        """Returns where the stream is, for `set_state`; ValueError where that is known to an iterator only."""
+        """Returns where the stream is, for `checked`; ValueError where that is known to an iterator only."""
         if not self._draws:
             raise ValueError("state: the place of an iterator cannot be saved; give bodies=draw, called as draw(rng)")
         return {"rngs": [rng.bit_generator.state for rng in self._rngs], "is_new": self.is_new.copy()}
 
-    def set_state(self, state: dict[str, Any]) -> None:
+    def checked(self, state: Any) -> tuple[dict[str, Any], list[Body]]:
+        """Returns what `take_up` takes, and the bodies that the worlds had, packed under "bodies".
+
+        Raises:
+            ValueError: The state is of other worlds, or bodies come from an iterator.
+        """
+        if not self._draws:
+            raise ValueError("state: bodies come from an iterator, whose place cannot be set")
+        place = {"_rngs": checked_rngs(state, self._rngs), **checked_arrays(state, {"is_new": self.is_new})}
+        packed = checked_part(state, "bodies")
+        if len(packed) != len(self.is_new):
+            raise ValueError(f"state: 'bodies' are {len(packed)}, expected {len(self.is_new)}")
+        bodies = unpack_bodies(packed)
+        for body in bodies:
+            self._check_size(body)
+        return place, bodies
+
+    def take_up(self, place: dict[str, Any]) -> None:
         """Goes on from where `state` was called."""
-        for rng, saved in zip(self._rngs, state["rngs"], strict=True):
-            rng.bit_generator.state = saved
-        self.is_new = np.array(state["is_new"])
+        self._rngs, self.is_new = place["_rngs"], place["is_new"]
 
 
 def pack_bodies(bodies: Sequence[Body]) -> list[list[np.ndarray]]:

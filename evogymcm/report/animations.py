@@ -1,16 +1,14 @@
 """Short animations of designs under their policies, as GIFs within the page."""
 
 import base64
-import pickle
 import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from evogymcm.report.runs import CodesignRun, Row, TrainingRun
+from evogymcm.algos.runs.record import KINDS, Row, RunRecord
 from evogymcm.report.sources import Arm
 from evogymcm.report.tables import tasks_of
 
@@ -32,7 +30,7 @@ class Scene:
         design: a record of the body and its stiffness in co-design, None in training.
     """
 
-    run: TrainingRun | CodesignRun
+    run: RunRecord
     arm: str
     policy: Path
     design: Row | None
@@ -41,10 +39,10 @@ class Scene:
 def choose_scenes(arms: Sequence[Arm]) -> tuple[list[Scene], list[str]]:
     """Returns the best run of each arm and task, up to four, and why others are missing."""
     scenes, reasons = [], []
-    tasks = dict.fromkeys([*tasks_of(arms, TrainingRun), *tasks_of(arms, CodesignRun)])
+    tasks = dict.fromkeys([*tasks_of(arms, "train"), *tasks_of(arms, "codesign")])
     for task in tasks:
         for arm in arms:
-            for kind in (TrainingRun, CodesignRun):
+            for kind in KINDS:
                 runs = sorted(arm.of(task, kind), key=_rank, reverse=True)
                 found = [scene_of(run, arm.label) for run in runs[:1]]
                 scenes += [scene for scene in found if isinstance(scene, Scene)]
@@ -54,17 +52,16 @@ def choose_scenes(arms: Sequence[Arm]) -> tuple[list[Scene], list[str]]:
     return scenes[:MOST], reasons
 
 
-def _rank(run: TrainingRun | CodesignRun) -> float:
-    if isinstance(run, CodesignRun):
-        return run.curve[-1][1]
-    return next((score for score in (run.final, run.best) if score is not None), -np.inf)
+def _rank(run: RunRecord) -> float:
+    scores = (run.final_of("score"), run.best_score)  # of co-design: the best design's
+    return next((score for score in scores if score is not None), -np.inf)
 
 
-def scene_of(run: TrainingRun | CodesignRun, arm: str) -> Scene | str:
+def scene_of(run: RunRecord, arm: str) -> Scene | str:
     """Returns the scene of a run's best design, or why there is none."""
     if run.path is None:
         return f"{run.name}: the run's folder is missing."
-    if isinstance(run, TrainingRun):
+    if run.kind == "train":
         policy = next((run.path / name for name in ("final.pt", "best.pt") if (run.path / name).is_file()), None)
         if run.body is None:
             return f"{run.name}: the run's settings do not name the one body that it has."
@@ -81,52 +78,20 @@ def animate(scene: Scene) -> tuple[str, str]:
         ImportError: A package of the extra `render` is missing.
         ValueError: The policy or design cannot be used, or the GIF would be too large.
     """
-    try:
-        env, actor, material = _stage(scene)
-    except (KeyError, RuntimeError, TypeError, EOFError, pickle.UnpicklingError) as error:
-        raise ValueError(f"{scene.policy} cannot be read: {error}") from error
-    frames = _frames(env, actor)
-    run, engine = scene.run, env.engine
-    which = f"number {scene.design['index']}" if scene.design else f"{scene.policy.stem} policy"
-    seed = "" if run.seed is None else f", seed {run.seed}"
-    caption = f"{run.task}, {scene.arm}{seed}: {which}, {material} stiffness, env-steps 0 to {int(engine.length[0])}"
-    return gif_uri(frames), caption
-
-
-def _stage(scene: Scene) -> tuple[Any, Any, str]:
-    """Returns a world with the design, the policy, and the material setting."""
-    import torch
-
-    from evogymcm.algos.codesign.design import Design
-    from evogymcm.algos.codesign.inner_loop import Arena
-    from evogymcm.algos.learning.actor import load_actor
-    from evogymcm.body import as_body
-
-    saved = torch.load(scene.policy, weights_only=True)
-    actor = load_actor(saved, None if saved["form"].get("copies") is None else 0)
-    material = "reactive" if "stiffness" in actor.ranges else "invariant"
-    config = scene.run.config
-    arena = Arena(scene.run.task, material, config.get("edge_rule", "mean_factor"))
-    if scene.design is None:
-        assert isinstance(scene.run, TrainingRun)
-        assert scene.run.body is not None
-        fields = config.get("stiffness")  # one for each body
-        design = Design(as_body(scene.run.body), None if fields is None else fields[0])
-    else:
-        design = Design.from_record({"connections": None, "stiffness": None} | dict(scene.design))
-        design = design.in_arm(config.get("arm", ""), config.get("prescribed", 1.0))
-    env = arena.make([design])
-    actor.columns = env.grid_shape[1]
-    return env, actor, material
-
-
-def _frames(env: Any, actor: Any) -> list[np.ndarray]:
-    """Returns pictures of the episode's first env-steps under deterministic actions."""
     from evogymcm.algos.learning import play
+    from evogymcm.algos.runs import load_policy
     from evogymcm.envs import Renderer
 
-    renderer, episode = Renderer(env, WIDTH, HEIGHT), play(actor, env, steps=STEPS)
-    return [renderer.frame() for now in episode if now.step % EVERY == 0 or not now.running.any()]
+    run, saved = scene.run, load_policy(scene.policy)
+    env = saved.make_env(1, task=run.task, num_threads=1)
+    renderer, episode = Renderer(env, WIDTH, HEIGHT), play(saved.module(env), env, steps=STEPS)
+    frames = [renderer.frame() for now in episode if now.step % EVERY == 0 or not now.running.any()]
+    which = f"number {scene.design['index']}" if scene.design else f"{scene.policy.stem} policy"
+    seed = "" if run.seed is None else f", seed {run.seed}"
+    caption = (
+        f"{run.task}, {scene.arm}{seed}: {which}, {saved.material} stiffness, env-steps 0 to {env.engine.length[0]}"
+    )
+    return gif_uri(frames), caption
 
 
 def gif_uri(frames: Sequence[np.ndarray], largest: int = LARGEST) -> str:

@@ -4,12 +4,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from evogymcm.algos.runs.record import Row, RunRecord
 from evogymcm.body import Body
 from evogymcm.report.figures import fitness_by_generation
 from evogymcm.report.lineage import MOST, ancestors, lineage_svg
 from evogymcm.report.parts import Figure, Fold, Note, Part, Picture, Pictures, Section
 from evogymcm.report.pictures import average_field, body_svg, stiffness_ramp, stiffness_svg, types_svg
-from evogymcm.report.runs import CodesignRun, Row
 from evogymcm.report.sources import Arm
 from evogymcm.report.tables import tasks_of
 
@@ -20,12 +20,12 @@ _AVERAGED = 5  # best designs of each run in an average
 
 def design_sections(arms: Sequence[Arm]) -> list[Section]:
     """Returns the sections on the designs of co-design runs."""
-    runs = [(arm, run) for task in tasks_of(arms, CodesignRun) for arm in arms for run in arm.of(task, CodesignRun)]
-    runs = [(arm, run) for arm, run in runs if run.individuals]
+    runs = [(arm, run) for task in tasks_of(arms, "codesign") for arm in arms for run in arm.of(task, "codesign")]
+    runs = [(arm, run) for arm, run in runs if run.designs]
     return [_best(runs), _evolution(arms, runs), _stiffness(arms)] if runs else []
 
 
-def _title(arm: Arm, run: CodesignRun) -> str:
+def _title(arm: Arm, run: RunRecord) -> str:
     return f"{run.task}, {arm.label}" + ("" if run.seed is None else f", seed {run.seed}")
 
 
@@ -33,7 +33,7 @@ def _body(row: Row) -> Body:
     return Body(row["body"], row.get("connections"))
 
 
-def _best(runs: Sequence[tuple[Arm, CodesignRun]]) -> Section:
+def _best(runs: Sequence[tuple[Arm, RunRecord]]) -> Section:
     """The best design of each run."""
     pictures = []
     for arm, run in runs:
@@ -44,10 +44,10 @@ def _best(runs: Sequence[tuple[Arm, CodesignRun]]) -> Section:
     return Section("Best designs", [Pictures("", [Picture(types_svg())]), Pictures("", pictures, caption)])
 
 
-def _evolution(arms: Sequence[Arm], runs: Sequence[tuple[Arm, CodesignRun]]) -> Section:
+def _evolution(arms: Sequence[Arm], runs: Sequence[tuple[Arm, RunRecord]]) -> Section:
     """Fitness over generations and family trees."""
     parts: list[Part] = []
-    for task in tasks_of(arms, CodesignRun):
+    for task in tasks_of(arms, "codesign"):
         figure = fitness_by_generation(task, arms)
         if figure.data:
             text = "Every body that was trained, with its latest fitness; arms are set side by side in a generation."
@@ -59,9 +59,9 @@ def _evolution(arms: Sequence[Arm], runs: Sequence[tuple[Arm, CodesignRun]]) -> 
     )
     trees: list[Part] = []
     for arm, run in runs:
-        if len(run.individuals) > 1:
-            line = ancestors(run.individuals, run.ranked()[0]["index"])[::-1]
-            text = "Line of the best: " + " → ".join(_step(run.individuals[index]) for index in line) + "."
+        if len(run.designs) > 1:
+            line = ancestors(run.designs, run.ranked()[0]["index"])[::-1]
+            text = "Line of the best: " + " → ".join(_step(run.designs[index]) for index in line) + "."
             tree = Pictures("", [Picture(lineage_svg(run))], text, is_wide=True)
             trees.append(Fold(_title(arm, run), [tree], is_open=not trees))
     return Section("Evolution of designs", [*parts, Note(note), *trees] if trees else parts)
@@ -74,10 +74,10 @@ def _step(row: Row) -> str:
 def _stiffness(arms: Sequence[Arm]) -> Section:
     """Fields of the best designs, and their averages; only where they were searched."""
     parts: list[Part] = []
-    for task in tasks_of(arms, CodesignRun):
+    for task in tasks_of(arms, "codesign"):
         for arm in arms:
-            runs: list[CodesignRun] = arm.of(task, CodesignRun)
-            if any(row.get("stiffness") is not None for run in runs for row in run.individuals.values()):
+            runs = arm.of(task, "codesign")
+            if any(row.get("stiffness") is not None for run in runs for row in run.designs.values()):
                 parts.append(_fields(f"{task}, {arm.label}", runs))
     if not parts:
         return Section("Stiffness fields")
@@ -86,14 +86,13 @@ def _stiffness(arms: Sequence[Arm]) -> Section:
     return Section("Stiffness fields", [Note(note), Pictures("", [Picture(stiffness_ramp())]), *parts])
 
 
-def _fields(title: str, runs: Sequence[CodesignRun]) -> Pictures:
+def _fields(title: str, runs: Sequence[RunRecord]) -> Pictures:
     """Maps of the best designs of an arm's runs, and of their averages."""
     pictures = []
     chosen: dict[tuple[int, int], list[tuple[Body, np.ndarray]]] = {}  # by shape
     for run in runs:
         for rank, row in enumerate(run.ranked()[:_AVERAGED]):
-            body = _body(row)
-            field = np.ones(body.shape) if row.get("stiffness") is None else np.array(row["stiffness"], float)
+            body, field = run.design(row)
             chosen.setdefault(body.shape, []).append((body, field))
             if rank == 0:
                 seed = "" if run.seed is None else f"seed {run.seed}, "

@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from evogymcm.algos.analysis import Band, band
-from evogymcm.report.runs import CodesignRun, TrainingRun
 from evogymcm.report.sources import Arm
 
 if TYPE_CHECKING:
@@ -50,12 +49,12 @@ def learning_curves(task: str, arms: Sequence[Arm]) -> "go.Figure":
     """Returns the learning curves of a task: the mean over seeds with its band, seeds as thin lines, the paper's."""
     figure = new_figure("env-steps", "score (deterministic policy)")
     for arm in arms:
-        runs: list[TrainingRun] = arm.of(task, TrainingRun)
+        runs = arm.of(task, "train")
         if runs:
             _add_arm(figure, arm, [run.curve for run in runs], [_seed(run.seed) for run in runs], is_stepwise=False)
     for arm in arms:
-        if task in arm.paper and arm.of(task, TrainingRun):
-            _add_level(figure, arm, arm.paper[task][0], max(run.curve[-1][0] for run in arm.of(task, TrainingRun)))
+        if task in arm.paper and arm.of(task, "train"):
+            _add_level(figure, arm, arm.paper[task][0], max(run.curve[-1][0] for run in arm.of(task, "train")))
     return figure
 
 
@@ -63,7 +62,7 @@ def codesign_curves(task: str, arms: Sequence[Arm]) -> "go.Figure":
     """Returns the best score so far against env-steps of all kinds."""
     figure = new_figure("simulated env-steps, of all kinds", "best score so far")
     for arm in arms:
-        runs: list[CodesignRun] = arm.of(task, CodesignRun)
+        runs = arm.of(task, "codesign")
         if runs:
             _add_arm(figure, arm, [run.curve for run in runs], [_seed(run.seed) for run in runs], is_stepwise=True)
     return figure
@@ -73,8 +72,8 @@ def fitness_by_generation(task: str, arms: Sequence[Arm]) -> "go.Figure":
     """Returns the fitness of every body that was trained, by the generation in which it was proposed."""
     go = load_plotly()
     figure = new_figure("generation", "fitness")
-    shown = [(arm, arm.of(task, CodesignRun)) for arm in arms]
-    shown = [(arm, runs) for arm, runs in shown if any(len(run.individuals) > 1 for run in runs)]
+    shown = [(arm, arm.of(task, "codesign")) for arm in arms]
+    shown = [(arm, runs) for arm, runs in shown if any(len(run.designs) > 1 for run in runs)]
     for i, (arm, runs) in enumerate(shown):
         offset = 0.16 * (i - (len(shown) - 1) / 2)  # arms side by side
         told = [(run, row) for run in runs for row in run.ranked()]

@@ -3,9 +3,9 @@
 from collections.abc import Mapping, Sequence
 from html import escape
 
+from evogymcm.algos.runs.record import Row, RunRecord
 from evogymcm.body import Body
 from evogymcm.report.pictures import body_shapes
-from evogymcm.report.runs import CodesignRun, Row
 
 __all__ = ["ancestors", "lineage_svg", "shown_by_generation"]
 
@@ -24,7 +24,7 @@ def ancestors(individuals: Mapping[int, Row], index: int) -> list[int]:
         line.append(parent)
 
 
-def shown_by_generation(run: CodesignRun, line: Sequence[int]) -> dict[int, list[Row]]:
+def shown_by_generation(run: RunRecord, line: Sequence[int]) -> dict[int, list[Row]]:
     """Returns which individuals to show of each generation, best first: some of the best, and all of the line."""
     groups: dict[int, list[Row]] = {}
     for row in run.ranked():
@@ -34,10 +34,10 @@ def shown_by_generation(run: CodesignRun, line: Sequence[int]) -> dict[int, list
     return dict(sorted(groups.items()))
 
 
-def lineage_svg(run: CodesignRun) -> str:
+def lineage_svg(run: RunRecord) -> str:
     """Returns the tree as SVG; the line of the best individual is marked."""
     best = run.ranked()[0]
-    line = ancestors(run.individuals, best["index"])
+    line = ancestors(run.designs, best["index"])
     shown = shown_by_generation(run, line)
     totals: dict[int, int] = {}
     for row in run.ranked():

@@ -5,13 +5,13 @@ from pathlib import Path
 from typing import Any
 
 from evogymcm.algos.analysis import interval_note
+from evogymcm.algos.runs.record import Kind
 from evogymcm.report import figures, tables
 from evogymcm.report.designs import design_sections
 from evogymcm.report.figures import load_plotly
 from evogymcm.report.parts import Figure, Fold, Note, Part, Picture, Pictures, Section
-from evogymcm.report.runs import CodesignRun, TrainingRun
 from evogymcm.report.signals import signal_parts
-from evogymcm.report.sources import AnyRun, Arm, Source, make_arms, read_sources
+from evogymcm.report.sources import Arm, Source, make_arms, read_sources
 
 __all__ = ["make_report", "write_report"]
 
@@ -105,7 +105,7 @@ def _origin(sources: Sequence[Source]) -> Section:
     return Section("What this is made from", [*parts, *map(Note, missing)])
 
 
-def _counts(arms: Sequence[Arm], kind: type[AnyRun]) -> list[int]:
+def _counts(arms: Sequence[Arm], kind: Kind) -> list[int]:
     """Returns the number of seeds of each task and arm."""
     found = [len(arm.of(task, kind)) for task in tables.tasks_of(arms, kind) for arm in arms]
     return [count for count in found if count]
@@ -113,7 +113,7 @@ def _counts(arms: Sequence[Arm], kind: type[AnyRun]) -> list[int]:
 
 def _training(arms: Sequence[Arm]) -> list[Section]:
     """Scores and curves of trained policies."""
-    counts = _counts(arms, TrainingRun)
+    counts = _counts(arms, "train")
     if not counts:
         return []
     caption = (
@@ -125,7 +125,7 @@ def _training(arms: Sequence[Arm]) -> list[Section]:
         caption += "The paper's scores are of three seeds, each the best of about 100 evaluations. "
     parts: list[Part] = [tables.training_scores(arms, caption + interval_note(counts))]
     note = "Bands are the table's intervals, evaluation by evaluation; thin lines are single seeds."
-    for task in tables.tasks_of(arms, TrainingRun):
+    for task in tables.tasks_of(arms, "train"):
         extra = " Dotted: the paper's score." if any(task in arm.paper for arm in arms) else ""
         shown = note + extra if max(counts) > 1 else extra.strip()
         parts.append(Figure(task, figures.learning_curves(task, arms), shown))
@@ -134,7 +134,7 @@ def _training(arms: Sequence[Arm]) -> list[Section]:
 
 def _codesign(arms: Sequence[Arm]) -> list[Section]:
     """Best scores of co-design."""
-    counts = _counts(arms, CodesignRun)
+    counts = _counts(arms, "codesign")
     if not counts:
         return []
     caption = (
@@ -144,7 +144,7 @@ def _codesign(arms: Sequence[Arm]) -> list[Section]:
     )
     parts: list[Part] = [tables.codesign_scores(arms, caption + interval_note(counts))]
     note = "Mean over seeds with the table's interval, as far as all seeds have a score; thin lines are single seeds."
-    for task in tables.tasks_of(arms, CodesignRun):
+    for task in tables.tasks_of(arms, "codesign"):
         parts.append(Figure(task, figures.codesign_curves(task, arms), note if max(counts) > 1 else ""))
     return [Section("Co-design", parts)]
 

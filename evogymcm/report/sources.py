@@ -7,22 +7,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from evogymcm.report.runs import (
-    CONFIG,
-    TABLE,
-    CodesignRun,
-    Row,
-    TrainingRun,
-    read_json,
-    read_run,
-    run_folders,
-    run_name,
-)
+from evogymcm.algos.runs.folder import TABLE, RunFiles
+from evogymcm.algos.runs.record import Kind, Row, RunRecord
 
-__all__ = ["AnyRun", "Arm", "Source", "make_arms", "read_source", "read_sources"]
+__all__ = ["Arm", "Source", "make_arms", "read_source", "read_sources"]
 
-AnyRun = TrainingRun | CodesignRun
-Groups = dict[tuple[str, str], list[tuple["Source", AnyRun]]]  # by arm and settings
+Groups = dict[tuple[str, str], list[tuple["Source", RunRecord]]]  # by arm and settings
 
 _COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#7f7f7f", "#000000")  # Okabe and Ito
 _USUAL = {  # the same for the same arm in every report
@@ -34,7 +24,7 @@ _USUAL = {  # the same for the same arm in every report
     "invariant": "#009e73",
 }
 _PLANNED = ("tasks", "arms", "seeds")
-_NO_SETTINGS = ("seed", "task", "tasks", "seeds", "arm", "arms", "num_threads")
+_NO_SETTINGS = ("command", "seed", "task", "tasks", "seeds", "arm", "arms", "num_threads")
 
 
 @dataclass(frozen=True)
@@ -54,7 +44,7 @@ class Source:
     name: str
     path: Path
     kind: str
-    runs: tuple[AnyRun, ...]
+    runs: tuple[RunRecord, ...]
     planned: int | None
     results: Row
     config: Row
@@ -72,12 +62,12 @@ class Arm:
 
     label: str
     colour: str
-    runs: tuple[AnyRun, ...]
+    runs: tuple[RunRecord, ...]
     paper: Mapping[str, tuple[float, float | None]]  # by task
 
-    def of(self, task: str, kind: type[AnyRun]) -> list[Any]:
+    def of(self, task: str, kind: Kind) -> list[RunRecord]:
         """Returns the runs of a task and kind."""
-        return [run for run in self.runs if run.task == task and isinstance(run, kind)]
+        return [run for run in self.runs if run.task == task and run.kind == kind]
 
 
 def read_sources(paths: Sequence[Path]) -> list[Source]:
@@ -113,12 +103,13 @@ def read_source(path: Path, name: str | None = None) -> Source:
     if not path.is_dir():
         raise ValueError(f"runs: {path} is not a folder")
     name = name or path.resolve().name
-    config, results = read_json(path / CONFIG), read_json(path / "results.json")
+    files = RunFiles(path)
+    config, results = files.config, files.read_json("results.json")
     if (path / TABLE).is_file():
-        run = read_run(path)
-        if run is None:
+        run = RunRecord.read(path)
+        if not run.curve:
             raise ValueError(f"runs: {path} holds a run without any score yet")
-        kind = "co-design run" if isinstance(run, CodesignRun) else "training run"
+        kind = "co-design run" if run.kind == "codesign" else "training run"
         return Source(name, path, kind, (run,), None, results, config)
     suite: Row = results.get("suite") or results.get("comparison") or config
     is_suite = bool(results.get("runs")) or set(_PLANNED) <= suite.keys()
@@ -138,21 +129,22 @@ def _planned(suite: Row) -> int | None:
     return counts[0] * counts[1] * counts[2] * max(counts[3], 1) or None
 
 
-def _runs_inside(path: Path, results: Row, suite: Row) -> list[AnyRun]:
+def _runs_inside(path: Path, results: Row, suite: Row) -> list[RunRecord]:
     """Returns the runs of folders inside, with what the suite recorded of them, and those of records alone."""
     records: dict[str, list[Row]] = {}
-    for record in results.get("runs") or ():
-        records.setdefault(run_name(record), []).append(record)
+    for told in results.get("runs") or ():
+        records.setdefault(RunRecord.from_dict(told).name, []).append(told)
     runs = []
-    for folder in run_folders(path):
-        recorded = records.get(folder.name)
-        runs.append(read_run(folder, recorded.pop(0) if recorded else None))
-    runs += [read_run(None, record) for left in records.values() for record in left]
-    begun = [run for run in runs if run is not None]
+    for folder in sorted(path.iterdir()):
+        if folder.is_dir() and (folder / TABLE).is_file():
+            told_of = records.get(folder.name)
+            runs.append(RunRecord.read(folder, told_of.pop(0) if told_of else None))
+    runs += [RunRecord.from_dict(told) for left in records.values() for told in left]
+    begun = [run for run in runs if run.curve]
     order = (suite.get("tasks"), suite.get("variants") or suite.get("arms"), suite.get("seeds"))
     return sorted(
         begun,
-        key=lambda run: [_place(*pair) for pair in zip(order, (run.task, run.arm, run.seed), strict=True)],
+        key=lambda run: [_place(*pair) for pair in zip(order, (run.task, run.label, run.seed), strict=True)],
     )
 
 
@@ -170,7 +162,7 @@ def make_arms(sources: Sequence[Source]) -> list[Arm]:
     groups: Groups = {}
     for source in sources:
         for run in source.runs:
-            groups.setdefault((run.arm, _settings(source, run)), []).append((source, run))
+            groups.setdefault((run.label, _settings(source, run)), []).append((source, run))
     # The same run twice is not two seeds: such groups fall apart by source, and within one source run by run.
     groups = _split(groups, lambda source, _: str(source.path))
     groups = _split(groups, lambda _, run: str(id(run)))
@@ -182,17 +174,17 @@ def make_arms(sources: Sequence[Source]) -> list[Arm]:
             labels[key],
             colour,
             tuple(run for _, run in members),
-            {task: score for source, run in members for (task, arm), score in source.paper.items() if arm == run.arm},
+            {task: score for source, run in members for (task, arm), score in source.paper.items() if arm == run.label},
         )
         for (key, members), colour in zip(groups.items(), colours, strict=True)
     ]
 
 
-def _split(groups: Groups, place: Callable[[Source, AnyRun], str]) -> Groups:
+def _split(groups: Groups, place: Callable[[Source, RunRecord], str]) -> Groups:
     """Returns groups in which a seed of a task comes twice divided by place, and the others as they are."""
     found: Groups = {}
     for key, members in groups.items():
-        seeds = [(type(run), run.task, run.seed) for _, run in members]
+        seeds = [(run.kind, run.task, run.seed) for _, run in members]
         is_twice = len(set(seeds)) < len(seeds)
         for source, run in members:
             own = (key[0], f"{place(source, run)} {key[1]}") if is_twice else key
@@ -200,7 +192,7 @@ def _split(groups: Groups, place: Callable[[Source, AnyRun], str]) -> Groups:
     return found
 
 
-def _settings(source: Source, run: AnyRun) -> str:
+def _settings(source: Source, run: RunRecord) -> str:
     """Text that is equal where runs may be seeds of one arm."""
     settings = source.config if source.planned else run.config
     if not settings:
@@ -215,10 +207,10 @@ def _without(settings: Any) -> Any:
     return settings
 
 
-def _long_label(members: Sequence[tuple[Source, AnyRun]]) -> str:
+def _long_label(members: Sequence[tuple[Source, RunRecord]]) -> str:
     source, run = members[0]
     place = source.name if source.planned or len(source.runs) == 1 else f"{source.name}{os.sep}{run.name}"
-    return f"{run.arm} ({place})"
+    return f"{run.label} ({place})"
 
 
 def _colours(arms: Sequence[str]) -> list[str]:

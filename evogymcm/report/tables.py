@@ -4,16 +4,16 @@ from collections.abc import Iterable, Sequence
 from typing import Any
 
 from evogymcm.algos.analysis import Summary, resample, summarise
+from evogymcm.algos.runs.record import NOT_RECORDED, Kind, RunRecord
 from evogymcm.report.parts import Table
-from evogymcm.report.runs import NOT_RECORDED, CodesignRun, TrainingRun
-from evogymcm.report.sources import AnyRun, Arm, Source
+from evogymcm.report.sources import Arm, Source
 
 __all__ = ["codesign_scores", "source_table", "tasks_of", "training_scores"]
 
 
-def tasks_of(arms: Iterable[Arm], kind: type[AnyRun]) -> list[str]:
+def tasks_of(arms: Iterable[Arm], kind: Kind) -> list[str]:
     """Returns the tasks of all runs of a kind, in the order of their first run."""
-    return list(dict.fromkeys(run.task for arm in arms for run in arm.runs if isinstance(run, kind)))
+    return list(dict.fromkeys(run.task for arm in arms for run in arm.runs if run.kind == kind))
 
 
 def source_table(sources: Sequence[Source]) -> Table:
@@ -28,13 +28,14 @@ def source_table(sources: Sequence[Source]) -> Table:
 
 def _source_facts(source: Source) -> dict[str, str]:
     results, runs = source.results, source.runs
-    machine, versions = results.get("machine") or {}, results.get("versions") or {}
+    origin = results if "machine" in results else next((run.origin for run in runs if run.origin), {})
+    machine, versions = origin.get("machine") or {}, origin.get("versions") or {}
     n_finished = sum(run.finished for run in runs)
     planned = source.planned or len(runs)
     return {
         "what": source.kind,
         "tasks": _listed(run.task for run in runs),
-        "arms": _listed(run.arm for run in runs),
+        "arms": _listed(run.label for run in runs),
         "seeds": _listed(sorted({run.seed for run in runs if run.seed is not None})),
         "runs": f"{planned} planned, {n_finished} finished" if source.planned else f"{planned}, {n_finished} finished",
         "budget of a run": _budget(source),
@@ -42,7 +43,7 @@ def _source_facts(source: Source) -> dict[str, str]:
         "hardware": _hardware(machine),
         "processes": str(results.get("processes") or ""),
         "versions": ", ".join(f"{name} {version}" for name, version in versions.items() if version),
-        "commit": str(results.get("commit") or ""),
+        "commit": str(origin.get("commit") or ""),
         "wall time": _wall_time(source),
     }
 
@@ -82,7 +83,7 @@ def _wall_time(source: Source) -> str:
     parts = []
     if source.results.get("wall_seconds") is not None:
         parts.append(f"{_duration(source.results['wall_seconds'])} (last sitting)")
-    seconds = [run.seconds for run in source.runs if isinstance(run, TrainingRun) and run.seconds is not None]
+    seconds = [run.seconds for run in source.runs if run.seconds is not None]
     if seconds and len(seconds) == len(source.runs):
         parts.append(f"{_duration(sum(seconds))} in the runs, added up" if len(seconds) > 1 else _duration(seconds[0]))
     return "; ".join(parts)
@@ -101,9 +102,9 @@ def training_scores(arms: Sequence[Arm], caption: str) -> Table:
     head += ["best of training", "95 % interval", "final return"]
     is_compared = any(arm.paper for arm in arms)
     rows = []
-    for task in tasks_of(arms, TrainingRun):
+    for task in tasks_of(arms, "train"):
         for arm in arms:
-            runs: list[TrainingRun] = arm.of(task, TrainingRun)
+            runs = arm.of(task, "train")
             if runs:
                 row = _training_row(task, arm, runs)
                 rows.append([*row, _paper(arm, task)] if is_compared else row)
@@ -111,10 +112,10 @@ def training_scores(arms: Sequence[Arm], caption: str) -> Table:
     return Table("Scores", head, rows, caption, numeric=frozenset(range(2, len(head))))
 
 
-def _training_row(task: str, arm: Arm, runs: Sequence[TrainingRun]) -> list[str]:
+def _training_row(task: str, arm: Arm, runs: Sequence[RunRecord]) -> list[str]:
     ended = [run for run in runs if run.finished]
-    final, best = _summary(run.final for run in ended), _summary(run.best for run in ended or runs)
-    fraction = _summary(run.fraction for run in ended)
+    final, best = _summary(run.final_of("score") for run in ended), _summary(run.best_score for run in ended or runs)
+    fraction = _summary(run.final_of("fraction_of_ceiling") for run in ended)
     counted = f"{len(ended)}" if len(ended) == len(runs) else f"{len(ended)} of {len(runs)} finished"
     return [
         task,
@@ -127,7 +128,7 @@ def _training_row(task: str, arm: Arm, runs: Sequence[TrainingRun]) -> list[str]
         f"{fraction.mean:.1%}" if fraction else "",
         _text(best),
         best.interval if best else "",
-        _text(_summary(run.final_return for run in ended)),
+        _text(_summary(run.final_of("return") for run in ended)),
     ]
 
 
@@ -159,16 +160,16 @@ def codesign_scores(arms: Sequence[Arm], caption: str) -> Table:
     head = ["task", "arm", "seeds", "compared at env-steps", "bodies trained", "best score", "95 % interval"]
     head += ["of each seed", "best at the end"]
     rows = []
-    for task in tasks_of(arms, CodesignRun):
-        end = min(run.curve[-1][0] for arm in arms for run in arm.of(task, CodesignRun))
+    for task in tasks_of(arms, "codesign"):
+        end = min(run.curve[-1][0] for arm in arms for run in arm.of(task, "codesign"))
         for arm in arms:
-            runs: list[CodesignRun] = arm.of(task, CodesignRun)
+            runs = arm.of(task, "codesign")
             if runs:
                 rows.append(_codesign_row(task, arm, runs, end))
     return Table("Best scores", head, rows, caption, numeric=frozenset(range(2, len(head))))
 
 
-def _codesign_row(task: str, arm: Arm, runs: Sequence[CodesignRun], end: float) -> list[str]:
+def _codesign_row(task: str, arm: Arm, runs: Sequence[RunRecord], end: float) -> list[str]:
     import numpy as np
 
     at = [float(resample(run.curve, np.array([end]), is_stepwise=True)[0]) for run in runs]
@@ -179,7 +180,7 @@ def _codesign_row(task: str, arm: Arm, runs: Sequence[CodesignRun], end: float) 
         arm.label,
         f"{len(runs)}" if n_finished == len(runs) else f"{len(runs)}, {n_finished} finished",
         f"{end:,.0f}",
-        _range([run.bodies for run in runs]),
+        _range([run.n_designs for run in runs]),
         _text(scores),
         scores.interval if scores else "",
         " ".join(f"{value:z.2f}" if np.isfinite(value) else "none" for value in at),

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from evogymcm.sim._jit import kernel
+from evogymcm.sim._jit import inlined, kernel
 from evogymcm.sim.candidates import N_FOUND, collapsed, list_candidates, lists_hold
 from evogymcm.sim.constants import MISSING, PhysicsValues
 from evogymcm.sim.contact import N_HOW, N_WHICH, Contacts, Sorting, apply_contacts, find_contacts
@@ -115,7 +115,7 @@ def _copy(source: np.ndarray, target: np.ndarray) -> None:
         store(target, i, load(source, i))
 
 
-@kernel
+@inlined
 def _advance(
     layout: Surface,
     terrain: Terrain,

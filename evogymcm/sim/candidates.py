@@ -30,7 +30,7 @@ _CORNER_AT = ((TR, TL), (BR, BL))  # which corner of a cell a lattice point is: 
 _X_BITS = 0b01010101  # of a mask of four pairs
 
 
-@kernel
+@inlined
 def lists_hold(xy: np.ndarray, listed: np.ndarray) -> bool:
     """Returns whether no point has moved too far since the lists were made at `listed` (False for NaN)."""
     still = 255
@@ -277,7 +277,7 @@ def list_candidates(
     return n, _list_crowded(layout, boxes, crowded)
 
 
-@kernel
+@inlined
 def collapsed(corners: np.ndarray, n_cells: int, xy: np.ndarray, crowded: np.ndarray, n_crowded: int) -> bool:
     """Returns whether a robot overlaps itself in more ordered pairs of voxels than it has surface voxels, `n_cells`.
 

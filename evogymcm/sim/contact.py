@@ -32,7 +32,7 @@ class Sorting(NamedTuple):
     boxes: np.ndarray  # (4, nodes)
     keys: np.ndarray  # (twice the capacity, 3) uint64
     found: np.ndarray  # (twice the capacity, 3)
-    order: np.ndarray
+    order: np.ndarray  # the contacts in the order in which they act
     is_fresh: np.ndarray  # of each object: whether its boxes are those of this substep
 
 
@@ -99,7 +99,7 @@ def _velocity(xy: np.ndarray, old: np.ndarray, place: int, substep: float) -> tu
     return (xy[place] - old[place]) / substep, (xy[place + 1] - old[place + 1]) / substep
 
 
-@kernel
+@inlined
 def _touch(
     contacts: Contacts, i: int, xy: np.ndarray, old: np.ndarray, force: np.ndarray, physics: PhysicsValues
 ) -> None:
@@ -137,7 +137,7 @@ def _touch(
         _push(force, end, -drag_x / 2.0, -drag_y / 2.0)
 
 
-@kernel
+@inlined
 def _enter(
     layout: Surface,
     terrain: Terrain,
@@ -190,7 +190,7 @@ def _enter(
     return n + 1
 
 
-@kernel
+@inlined
 def find_contacts(
     layout: Surface, terrain: Terrain, xy: np.ndarray, found: np.ndarray, n_found: int, contacts: Contacts
 ) -> int:
@@ -219,7 +219,7 @@ def find_contacts(
     return n
 
 
-@kernel
+@inlined
 def _is_ordered(contacts: Contacts, n: int) -> bool:
     """Returns whether some point is pushed by two different contacts, so that their order shows in its last bits."""
     which, pushed_by = contacts.which, contacts.pushed_by
@@ -263,7 +263,7 @@ def _number(layout: Surface, c: int) -> int:
     return c if c >= 0 else layout.surface.shape[0] + ~c
 
 
-@kernel
+@inlined
 def apply_contacts(
     layout: Surface,
     terrain: Terrain,
@@ -275,12 +275,27 @@ def apply_contacts(
     physics: PhysicsValues,
 ) -> None:
     """Adds the forces of `n` contacts to `force`: in EvoGym's order, where it shows."""
-    if not _is_ordered(contacts, n):
-        for i in range(n):
-            _touch(contacts, i, xy, old, force, physics)
-            if _object_of(layout, contacts.which[i, MAIN]) == _object_of(layout, contacts.which[i, REF]):
-                _touch(contacts, i, xy, old, force, physics)
-        return
+    n_keys = _order(layout, terrain, xy, contacts, n) if _is_ordered(contacts, n) else _take_all(layout, contacts, n)
+    for i in range(n_keys):
+        _touch(contacts, contacts.sorting.order[i], xy, old, force, physics)
+
+
+@inlined
+def _take_all(layout: Surface, contacts: Contacts, n: int) -> int:
+    """Sets the order to that of finding, those within an object twice; returns its length."""
+    order, n_keys = contacts.sorting.order, 0
+    for i in range(n):
+        order[n_keys] = i
+        n_keys += 1
+        if _object_of(layout, contacts.which[i, MAIN]) == _object_of(layout, contacts.which[i, REF]):
+            order[n_keys] = i
+            n_keys += 1
+    return n_keys
+
+
+@kernel
+def _order(layout: Surface, terrain: Terrain, xy: np.ndarray, contacts: Contacts, n: int) -> int:
+    """Sets the order to EvoGym's; returns its length: contacts within an object act twice."""
     which, sorting = contacts.which, contacts.sorting
     n_keys = int(np.int64(0))
     children, place, leaf = in_two(layout.children, 2), layout.node_place, layout.leaf
@@ -309,7 +324,8 @@ def apply_contacts(
         sorting.is_fresh[k] = 0
     sort_keys(sorting.keys, sorting.found, n_keys, sorting.order, layout.node_start, children, place, sorting.boxes)
     for i in range(n_keys):
-        _touch(contacts, np.int64(sorting.found[sorting.order[i], CONTACT]), xy, old, force, physics)
+        sorting.order[i] = sorting.found[sorting.order[i], CONTACT]
+    return n_keys
 
 
 @inlined

@@ -15,7 +15,8 @@ from evogymcm.sim.trees import Tree, build_tree
 from evogymcm.sim.vectors import LANE_SLOTS
 from evogymcm.sim.world import WorldObject
 
-_SLOTS = np.array(LANE_SLOTS)
+_SLOTS = np.argsort(LANE_SLOTS)  # which spring is in each slot
+_NEIGHBOURS = 12  # points, see `object_tables`
 _IDLE_Y = 1.0  # metres: points that only fill up are above the floor
 
 
@@ -190,12 +191,13 @@ def object_tables(
         springs = springs._replace(**{name: getattr(springs, name)[is_kept] for name in springs._fields[:-1]})
     n_moving, n_springs = int(is_moving.sum()), len(springs.rest)
     points_end, springs_end = -4 * (-n_moving // 4), -8 * (-n_springs // 8)
-    # Points with equally many springs stand together: a group takes as long as the one with most.
+    # Points with equally many springs stand together, of some neighbours: a group takes as long as the one with most,
+    # and finds near each other what it gathers.
     degrees = np.bincount(springs.ends[:, 0], minlength=t.n_points) * 16 + np.bincount(
         springs.ends[:, 1], minlength=t.n_points
     )
     order = np.flatnonzero(is_moving)
-    order = order[np.argsort(degrees[order], kind="stable")]
+    order = order[np.lexsort((degrees[order], np.arange(n_moving) // _NEIGHBOURS))]
     places = np.empty(t.n_points, np.int32)
     places[order] = 2 * (before.points + np.arange(n_moving))
     if n_moving < t.n_points:
@@ -205,7 +207,7 @@ def object_tables(
     ends = np.empty((springs_end, 2), np.int32)
     ends[:n_springs] = end_places
     ends[n_springs:] = 2 * (before.points + np.arange(2))
-    ends = ends.reshape(-1, 8, 2)[:, np.argsort(_SLOTS)].transpose(0, 2, 1)
+    ends = ends.reshape(-1, 8, 2)[:, _SLOTS].transpose(0, 2, 1)
     groups, pulls = np.empty(points_end // 2 + 1, np.int32), np.full(8 * n_springs, NO_FORCE, np.int32)
     counts = np.zeros((2, points_end), np.int32)
     pulls = pulls[: _fill_sums(end_places, before.points, before.springs, counts, groups, pulls)]
@@ -217,29 +219,30 @@ def object_tables(
     surface = t.is_surface_side.any(1)
     moving_rows, fixed_rows = np.flatnonzero(surface & ~is_terrain), np.flatnonzero(surface & is_terrain)
     side_places = places[t.edges[t.sides]].reshape(-1, 8)
-    side_mask = t.is_surface_side @ np.array([1, 2, 4, 8])
+    side_mask = np.packbits(t.is_surface_side, axis=1, bitorder="little")[:, 0]
     corner_places = places[t.corner_points]
 
-    if columns is None:
-        driven = owned = np.zeros((0, 3), np.int32)
-        shares, voxels = np.zeros((0, 2)), np.zeros((0, 5), np.int32)
-    else:
-        column = np.append(t.cells[:, 0] * columns + t.cells[:, 1], MISSING)  # the last entry keeps MISSING
-        own = before.springs + np.arange(n_springs)
-        driven = np.column_stack([own, column[springs.drivers]])[springs.drivers[:, 0] != MISSING]
-        owned = np.column_stack([own, column[springs.owners]])
-        shares = springs.owner_constants if edge_rule == "mean_stiffness" else np.zeros((0, 2))
-        voxels = np.column_stack([column[:-1], corner_places])
-    ranges = 2 * before.points, 2 * (before.points + points_end), before.cells, before.cells + len(moving_rows)
     none = np.zeros(0, np.int32)
+    driven = owned = voxels = apart = none
+    if columns is not None:
+        column = np.full(t.n_cells + 1, MISSING)  # the last entry keeps MISSING
+        column[:-1] = t.cells[:, 0] * columns + t.cells[:, 1]
+        own = before.springs + np.arange(n_springs)
+        is_driven = springs.drivers[:, 0] != MISSING
+        driven = _rows(own[is_driven], column[springs.drivers[is_driven]])
+        owned = _rows(own, column[springs.owners])
+        voxels = _rows(column[:-1], corner_places)
+        apart = _apart(t.cells[moving_rows])
+    has_shares = columns is not None and edge_rule == "mean_stiffness"
+    ranges = 2 * before.points, 2 * (before.points + points_end), before.cells, before.cells + len(moving_rows)
     layout = Layout(
         ends=ends.ravel(),
         groups=groups,
         pulls=pulls,
         free=np.packbits(free, bitorder="little").astype(np.int32),
         rigid=places[t.edges[t.sides[t.codes == RIGID].reshape(-1)]].ravel(),
-        driven=driven.ravel(),
-        owned=owned.ravel(),
+        driven=driven,
+        owned=owned,
         objects=np.array(ranges, np.int32),
         corners=corner_places[moving_rows].ravel(),
         sides=side_places[moving_rows].ravel(),
@@ -250,19 +253,19 @@ def object_tables(
         node_place=none,
         node_voxel=none,
         leaf=none,
-        apart=_apart(t.cells[moving_rows]) if columns is not None else none,
+        apart=apart,
         uses_start=none,  # what concerns several objects comes with the scene
         uses=none,
         points=places if columns is not None else none,
-        voxels=voxels.ravel(),
+        voxels=voxels,
         rest=_padded(springs.rest, springs_end, np.nan, np.float64),
         constants=_padded(springs.constants, springs_end, 0.0, np.float64),
-        shares=shares.ravel(),
+        shares=springs.owner_constants.ravel() if has_shares else np.zeros(0),
         initial=initial.ravel(),
     )
-    world_cells = np.stack(
-        [source.origin[1] + t.rows - 1 - t.cells[fixed_rows, 0], source.origin[0] + t.cells[fixed_rows, 1]], axis=1
-    )
+    cells = t.cells[fixed_rows]
+    world_cells = np.empty((len(cells), 2), np.int64)
+    world_cells[:, 0], world_cells[:, 1] = source.origin[1] + t.rows - 1 - cells[:, 0], source.origin[0] + cells[:, 1]
     fixed = Fixed(
         xy[~is_moving], corner_places[fixed_rows], side_places[fixed_rows], side_mask[fixed_rows], world_cells
     )
@@ -271,6 +274,13 @@ def object_tables(
     numbers[fixed_rows] = ~(before.fixed + np.arange(len(fixed_rows)))
     placed = PlacedObject(source.name, source.origin, t, places, build_tree(t, source.origin), numbers)
     return layout, fixed, placed
+
+
+def _rows(first: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """Returns a table whose rows are a number and a row of others, one after another."""
+    rows = np.empty((len(first), 1 + others.shape[1]), np.int32)
+    rows[:, 0], rows[:, 1:] = first, others
+    return rows.ravel()
 
 
 def _apart(cells: np.ndarray) -> np.ndarray:

@@ -13,9 +13,9 @@ from functools import cached_property
 import numpy as np
 
 from evogymcm.sim.constants import MISSING, Physics
-from evogymcm.sim.contact_order import join_trees
+from evogymcm.sim.contact_order import join_trees, put_first
 from evogymcm.sim.parts import Fixed, PlacedObject, Sizes, object_tables, uses_of
-from evogymcm.sim.tables import N_OBJECT_COLUMNS, Layout, Terrain
+from evogymcm.sim.tables import Layout, Terrain
 from evogymcm.sim.world import WorldObject
 
 EDGE_RULES = ("mean_factor", "mean_stiffness")
@@ -29,6 +29,11 @@ class Scene:
     terrain: Terrain
     objects: tuple[PlacedObject, ...]
 
+    @property
+    def n_numbers(self) -> int:
+        """How many numbers the state of a world takes, see `Storage.state`."""
+        return 3 * len(self.layout.initial) + 3 * len(self.layout.rest)
+
     def object(self, name: str) -> PlacedObject:
         """Returns the object called `name`; ValueError where there is none."""
         for placed in self.objects:
@@ -37,18 +42,11 @@ class Scene:
         raise ValueError(f"object: got {name!r}, this world has {[o.name for o in self.objects]}")
 
 
-def _joined(layouts: Sequence[Layout]) -> dict[str, np.ndarray]:
-    """Returns the tables of several objects one after another; `groups` keeps no end."""
-    offset, groups = 0, []
-    for layout in layouts:
-        groups.append(layout.groups[:-1] + offset)
-        offset += int(layout.groups[-1])
-    tables = {
-        name: np.concatenate([getattr(layout, name) for layout in layouts])
-        for name in Layout._fields
-        if name != "groups"
-    }
-    return tables | {"groups": np.concatenate(groups)}
+def _joined(one: Layout, other: Layout) -> Layout:
+    """Returns the tables of objects one after another; to join with nothing is left out, as it takes as long."""
+    groups = np.concatenate([one.groups[:-1], other.groups + one.groups[-1]])
+    parts = zip(one, other, strict=True)
+    return Layout(*[b if not a.size else np.concatenate((a, b)) for a, b in parts])._replace(groups=groups)
 
 
 class Scenery:
@@ -77,7 +75,7 @@ class Scenery:
         if edge_rule not in EDGE_RULES:
             raise ValueError(f"edge_rule: got {edge_rule!r}, allowed are {EDGE_RULES}")
         self._edge_rule, self._convergence = edge_rule, (physics or Physics()).convergence
-        self._parts: list[Layout] = []
+        self._layout: Layout | None = None
         self._fixed: list[Fixed] = []
         self.objects: list[PlacedObject] = []
         self._before = Sizes()
@@ -86,7 +84,7 @@ class Scenery:
             layout, fixed, placed = object_tables(
                 source, number, self._before, edge_rule, self._convergence, is_placed, None
             )
-            self._parts.append(layout)
+            self._layout = layout if self._layout is None else _joined(self._layout, layout)
             self._fixed.append(fixed)
             self.objects.append(placed)
             self._before = Sizes(
@@ -96,6 +94,11 @@ class Scenery:
                 self._before.statics + len(fixed.static),
                 self._before.fixed + len(fixed.surface),
             )
+        n_cells = self._before.cells
+        numbered = [np.where(one.voxels >= 0, one.voxels, n_cells + ~one.voxels) for one in self.objects]
+        self._forest = join_trees([one.tree for one in self.objects], numbered)
+        of_fixed = [np.full(len(fixed.surface), number, np.int32) for number, fixed in enumerate(self._fixed, 1)]
+        self._fixed_object = np.concatenate([np.zeros(0, np.int32), *of_fixed])
 
     @cached_property
     def terrain(self) -> Terrain:
@@ -125,22 +128,18 @@ class Scenery:
         layout, _, placed = object_tables(
             robot, 0, self._before, self._edge_rule, self._convergence, False, grid_shape[1]
         )
-        tables = _joined([*self._parts, layout])
-        tables["groups"] = np.append(tables["groups"], len(tables["pulls"]))
-        objects = tables["objects"].reshape(-1, N_OBJECT_COLUMNS)
-        tables["objects"] = np.roll(objects, 1, axis=0).ravel()
-        n_cells = len(tables["surface"])
-        fixed_corners = self.terrain.corners.reshape(-1, 4)
-        corners = np.concatenate([tables["corners"].reshape(-1, 4), fixed_corners])
-        numbers = np.concatenate([np.arange(n_cells), ~np.arange(len(fixed_corners))])
+        tables = (layout if self._layout is None else _joined(self._layout, layout))._asdict()
+        if self._layout is not None:
+            tables["objects"] = np.concatenate([layout.objects, self._layout.objects])  # the robot first
+        n_cells, fixed_corners = len(tables["surface"]), self.terrain.corners
+        corners = np.concatenate([tables["corners"], fixed_corners]).reshape(-1, 4)
+        numbers = np.concatenate([np.arange(n_cells), ~np.arange(len(fixed_corners) // 4)])
         points = np.where(corners >= 0, corners >> 1, MISSING)
         start, uses = uses_of(points, numbers, len(tables["initial"]) // 2)
         tables |= {"uses_start": start, "uses": uses.ravel()}
-        of_fixed = [np.full(len(fixed.surface), k, np.int32) for k, fixed in enumerate(self._fixed, 1)]
-        tables["cell_object"] = np.concatenate([tables["cell_object"], *of_fixed])
-        every = (placed, *self.objects)
-        numbered = [np.where(one.voxels >= 0, one.voxels, n_cells + ~one.voxels) for one in every]
-        forest = join_trees([one.tree for one in every], numbered)
+        tables["cell_object"] = np.concatenate([tables["cell_object"], self._fixed_object])
+        n_before = self._before.cells
+        forest = put_first(placed.tree, placed.voxels - n_before, self._forest, n_before)
         tables |= {"node_start": forest.node_start, "children": forest.children.ravel(), "leaf": forest.leaf}
         tables |= {"node_place": forest.place, "node_voxel": forest.voxel}
-        return Scene(Layout(**tables), self.terrain, every)
+        return Scene(Layout(**tables), self.terrain, (placed, *self.objects))

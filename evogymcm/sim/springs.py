@@ -66,7 +66,7 @@ class SpringScratch(NamedTuple):
     """Memory for what a substep forms on its way; numbers of points, but where springs are named."""
 
     contact: np.ndarray  # forces of contact
-    pull: np.ndarray  # accelerations of the points on the implicit floor, for a moment
+    ground: np.ndarray  # forces of the implicit floor on points below it
     stage_xy: np.ndarray  # positions at which the present stage is taken
     second_v: np.ndarray  # velocities at which the second, third and last stages are
     third_v: np.ndarray
@@ -77,7 +77,7 @@ class SpringScratch(NamedTuple):
     beyond: np.ndarray  # of springs: numbers of those beyond their limits
 
 
-@kernel
+@inlined
 def _pull(
     ends: np.ndarray, xy: np.ndarray, state: SpringState, rest: np.ndarray, force: np.ndarray, convergence: float
 ) -> None:
@@ -102,21 +102,45 @@ def _pull(
 def _pulls(groups: np.ndarray, pulls: np.ndarray, force: np.ndarray, g: int):  # type: ignore[no-untyped-def]
     """Returns the sums of the spring forces at the four points of a group, added spring by spring."""
     total = spread(0.0)
-    turn = groups[2 * g + 1]
-    for i in range(groups[2 * g], turn, 4):
+    at, one = np.uint64(2 * g), np.uint64(1)  # an index with a sign would be tested for counting from the end
+    first, turn, end = groups[at], groups[at + one], groups[at + one + one]
+    for i in range(first, turn, 4):
         total = total - gather(force, pulls, i)
-    for i in range(turn, groups[2 * g + 2], 4):
+    for i in range(turn, end, 4):
         total = total + gather(force, pulls, i)
     return total
 
 
 @kernel
-def _push_from_ground(pull: np.ndarray, i: int, y: float, vx: float, physics: PhysicsValues) -> None:
-    """Adds the implicit floor's forces to the acceleration of the point at place `i`, which is below it."""
-    normal = -physics.ground_stiffness * y
-    pull[i + 1] += normal
-    drag = normal * math.tanh(vx * normal * physics.friction)
-    pull[i] -= physics.ground_friction_gain * physics.friction * drag
+def _push_from_ground(
+    ground: np.ndarray, i: int, low: int, xy: np.ndarray, v: np.ndarray, physics: PhysicsValues
+) -> None:
+    """Sets the implicit floor's forces on those of the four points from place `i` on that the mask `low` names."""
+    for k in range(4):
+        if low >> (2 * k + 1) & 1:
+            p = i + 2 * k
+            normal = -physics.ground_stiffness * xy[p + 1]
+            drag = normal * math.tanh(v[p] * normal * physics.friction)
+            ground[p] = -(physics.ground_friction_gain * physics.friction * drag)
+            ground[p + 1] = normal
+
+
+@inlined
+def _below_ground(xy: np.ndarray, i: int) -> int:
+    """Returns a mask of the y below zero of the four points from place `i` on."""
+    return less(load(xy, i), alternating(-math.inf, 0.0))
+
+
+@inlined
+def _meet_ground(xy: np.ndarray, v: np.ndarray, scratch: SpringScratch, physics: PhysicsValues) -> None:
+    """Sets the floor's forces on all points below it.
+
+    They come before a stage's loop: were `tanh` called there, its constants would be kept in memory.
+    """
+    for i in range(0, xy.shape[0], 8):
+        low = _below_ground(xy, i)
+        if low:
+            _push_from_ground(scratch.ground, i, low, xy, v, physics)
 
 
 @inlined
@@ -124,23 +148,18 @@ def _acceleration(  # type: ignore[no-untyped-def]
     tables: SpringTables, i: int, xy: np.ndarray, v: np.ndarray, scratch: SpringScratch, physics: PhysicsValues
 ):
     """Returns the accelerations of the four points from place `i` on."""
-    pull = scratch.pull
     acceleration = _pulls(tables.groups, tables.pulls, scratch.force, i >> 3) - physics.drag * load(v, i)
     acceleration = acceleration - alternating(0.0, physics.gravity) + load(scratch.contact, i)
-    low = less(load(xy, i), alternating(-math.inf, 0.0))
+    low = _below_ground(xy, i)
     if low:
-        store(pull, i, acceleration)
-        for k in range(4):
-            if low >> (2 * k + 1) & 1:
-                p = i + 2 * k
-                _push_from_ground(pull, p, xy[p + 1], v[p], physics)
-        acceleration = load(pull, i)
+        acceleration = select(low | low >> 1, acceleration + load(scratch.ground, i), acceleration)
     return acceleration
 
 
-@kernel
+@inlined
 def _first_stage(tables: SpringTables, state: SpringState, scratch: SpringScratch, physics: PhysicsValues) -> None:
     """Begins the sum of changes, and sets the second stage's state, half of the way ahead."""
+    _meet_ground(state.xy, state.v, scratch, physics)
     h = physics.substep
     for i in range(0, state.xy.shape[0], 8):
         change = _acceleration(tables, i, state.xy, state.v, scratch, physics) * h
@@ -150,7 +169,7 @@ def _first_stage(tables: SpringTables, state: SpringState, scratch: SpringScratc
         store(scratch.second_v, i, v + 0.5 * change)
 
 
-@kernel
+@inlined
 def _middle_stage(
     tables: SpringTables,
     state: SpringState,
@@ -161,6 +180,7 @@ def _middle_stage(
     physics: PhysicsValues,
 ) -> None:
     """Adds twice the change to the sum, and sets the next stage's state, a share of the way ahead."""
+    _meet_ground(scratch.stage_xy, v, scratch, physics)
     h = physics.substep
     for i in range(0, state.xy.shape[0], 8):
         change = _acceleration(tables, i, scratch.stage_xy, v, scratch, physics) * h
@@ -169,9 +189,10 @@ def _middle_stage(
         store(next_v, i, load(state.v, i) + share * change)
 
 
-@kernel
+@inlined
 def _last_stage(tables: SpringTables, state: SpringState, scratch: SpringScratch, physics: PhysicsValues) -> None:
     """Moves the free points by the mean of the four stages' ways."""
+    _meet_ground(scratch.stage_xy, scratch.last_v, scratch, physics)
     h = physics.substep
     free = tables.free
     for g in range(free.shape[0]):
@@ -185,7 +206,7 @@ def _last_stage(tables: SpringTables, state: SpringState, scratch: SpringScratch
         store(state.v, i, select(free[g], v + (load(scratch.sum_v, i) + change) / 6.0, v))
 
 
-@kernel
+@inlined
 def integrate(tables: SpringTables, state: SpringState, scratch: SpringScratch, physics: PhysicsValues) -> None:
     """Advances the points by one substep of classical Runge-Kutta, under the forces in `scratch.contact`."""
     ends, rest, force = tables.ends, scratch.rest, scratch.force
@@ -204,7 +225,7 @@ def _is_free(free: np.ndarray, place: int) -> bool:
     return free[place >> 3] >> (place & 7) & 1
 
 
-@kernel
+@inlined
 def limit_lengths(tables: SpringTables, state: SpringState, scratch: SpringScratch) -> None:
     """Pulls springs that are too long or too short back, all at once from the same positions.
 
@@ -244,7 +265,7 @@ def slot_of(spring: int) -> int:
     return (spring & ~7) | ((spring & 1) << 2) | ((spring >> 1) & 3)
 
 
-@kernel
+@inlined
 def limit_rigid(rigid: np.ndarray, xy: np.ndarray) -> None:
     """Corrects the edges of rigid voxels one after another, each from the positions that the last one left."""
     longest, shortest = RIGID_STRETCH_LIMIT * VOXEL, RIGID_SQUEEZE_LIMIT * VOXEL

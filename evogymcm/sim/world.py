@@ -5,6 +5,7 @@ import os
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any, TypeGuard
 
@@ -84,15 +85,16 @@ class WorldObject:
         """World cell (x, y) just beyond the grid's upper-right corner."""
         return self.origin[0] + self.grid.shape[1], self.origin[1] + self.grid.shape[0]
 
+    @cached_property
     def _key(self) -> tuple[object, ...]:
         connections = None if self.connections is None else self.connections.tobytes()
         return self.name, self.origin, self.shape, self.grid.tobytes(), connections
 
     def __eq__(self, other: object) -> bool:
-        return self._key() == other._key() if isinstance(other, WorldObject) else NotImplemented
+        return self._key == other._key if isinstance(other, WorldObject) else NotImplemented
 
     def __hash__(self) -> int:
-        return hash(self._key())
+        return hash(self._key)
 
 
 @dataclass(frozen=True)

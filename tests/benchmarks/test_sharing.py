@@ -1,34 +1,17 @@
 """The sharing benchmark: equal budgets, warm starts, exact resuming, paired intervals; a tiny run from end to end."""
 
-import importlib
-import json
-import subprocess
-import sys
 from dataclasses import replace
-from pathlib import Path
 
-import numpy as np
 import pytest
 import torch
 
+from benchmarks.experiments import sharing
+from benchmarks.experiments.sharing import Sharing
 from evogymcm.algos import RunFolder, Trainer, take_state
 from evogymcm.algos.codesign import Arena
 from evogymcm.envs import tasks
 
-BENCHMARKS = Path(__file__).resolve().parents[2] / "benchmarks"
 SHORT = replace(tasks.as_task("Walker-v0"), time_limit=6)
-
-
-@pytest.fixture
-def experiments(monkeypatch):
-    monkeypatch.syspath_prepend(BENCHMARKS)
-    return importlib.import_module("_sharing")
-
-
-@pytest.fixture
-def sharing(monkeypatch):
-    monkeypatch.syspath_prepend(BENCHMARKS)
-    return importlib.import_module("sharing")
 
 
 @pytest.fixture
@@ -36,9 +19,9 @@ def short_episodes(monkeypatch):
     monkeypatch.setitem(tasks._REGISTRY, "Walker-v0", SHORT)
 
 
-def tiny(experiments, **changes):
+def tiny(**changes):
     settings = {"bodies": 3, "unseen": 2, "total_steps": 192, "finetune_steps": 64, "worlds": 1, "seed": 1}
-    return experiments.Experiment(**settings | changes)
+    return Sharing(**settings | changes)
 
 
 def run(experiment, arm, folder, resume=False, should_stop=lambda: False):
@@ -49,32 +32,24 @@ def run(experiment, arm, folder, resume=False, should_stop=lambda: False):
 
 
 def arm(name, scores, training=()):
-    known = {p: {"finished": True, "env_steps": 1000, "best_scores": [5.0, 7.0]} for p in training}
-    return {"arm": name, "finished": True, "scores": scores, "training": known}
+    known = {
+        p: {"finished": True, "env_steps": 1000, "best_scores": [5.0, 7.0], "curve": [[0.0, 0.0], [1.0, 1.0]]}
+        for p in training
+    }
+    return {"label": name, "finished": True, "scores": scores, "training": known}
 
 
-def test_bodies_are_seeded_and_all_different(experiments):
-    designs = experiments.Experiment().designs()
+def test_bodies_are_seeded_and_all_different():
+    designs = Sharing().designs()
     assert {name: len(group) for name, group in designs.items()} == {"seen": 32, "unseen": 16}
     assert len({design.body for group in designs.values() for design in group}) == 48
-    assert designs == experiments.Experiment().designs()
-    assert designs != experiments.Experiment(seed=1).designs()
-    assert designs["unseen"] == experiments.Experiment(bodies=8).designs()["unseen"]
+    assert designs == Sharing().designs()
+    assert designs != Sharing(seed=1).designs()
+    assert designs["unseen"] == Sharing(bodies=8).designs()["unseen"]
 
 
-def test_bad_settings_are_refused(experiments):
-    with pytest.raises(ValueError, match="bodies: got 1, must be at least 2"):
-        experiments.Experiment(bodies=1)
-    with pytest.raises(ValueError, match="task: got 'Hopper-v0'"):
-        experiments.Experiment(task="Hopper-v0")
-    with pytest.raises(ValueError, match="material: got 'wood'"):
-        experiments.Experiment(material="wood")
-    with pytest.raises(ValueError, match="context: got 'all'"):
-        experiments.Experiment(context="all")
-
-
-def test_fine_tuning_goes_on_from_the_end_of_the_schedules(experiments):
-    experiment = experiments.Experiment()
+def test_fine_tuning_goes_on_from_the_end_of_the_schedules():
+    experiment = Sharing()
     shared, tuned, scratch = (experiment.ppo(policy) for policy in ("shared", "fine-tuned", "scratch"))
     assert tuned.initial_std == shared.final_std
     assert tuned.learning_rate == shared.learning_rate / 4
@@ -88,20 +63,18 @@ def whole(tmp_path_factory):
     """The shared arm from end to end: its folder, its record, what it told, and what each training started from."""
     folder, given = tmp_path_factory.mktemp("whole"), {}
     with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(BENCHMARKS)
-        experiments = importlib.import_module("_sharing")
-        train_designs = experiments.train_designs
+        train_designs = sharing.train_designs
 
         def spy(arena, designs, ppo, *, start_from, **options):
             given[ppo.sharing] = start_from
             return train_designs(arena, designs, ppo, start_from=start_from, **options)
 
-        patch.setattr(experiments, "train_designs", spy)
+        patch.setattr(sharing, "train_designs", spy)
         patch.setitem(tasks._REGISTRY, "Walker-v0", SHORT)
-        return folder, *run(tiny(experiments), "shared", folder), given
+        return folder, *run(tiny(), "shared", folder), given
 
 
-def test_fine_tuning_starts_from_the_shared_weights(experiments, whole):
+def test_fine_tuning_starts_from_the_shared_weights(whole):
     folder, record, told, given = whole
     assert given["shared"] is None
     last = RunFolder(folder / "shared" / "shared", {"policy": "shared"}, resume=True).load("final")["actor"]
@@ -111,14 +84,14 @@ def test_fine_tuning_starts_from_the_shared_weights(experiments, whole):
         "seen": {"untrained", "shared"}, "unseen": {"untrained", "zero-shot", "fine-tuned"}
     }  # fmt: skip
     assert record["finished"]
-    assert told[-1][0] == tiny(experiments).steps_per_run == 192 + 128
+    assert told[-1][0] == tiny().steps_per_run == 192 + 128
     tuned = torch.load(folder / "shared" / "fine-tuned" / "final.pt", weights_only=True)["actor"]
     assert not torch.equal(take_state(tuned, 0)["heads.weight"], take_state(tuned, 1)["heads.weight"])
 
 
 @pytest.mark.usefixtures("short_episodes")
-def test_both_arms_have_the_same_budget(experiments, tmp_path):
-    experiment = tiny(experiments, total_steps=200, finetune_steps=70)  # in whole rollouts of every body: 288 and 192
+def test_both_arms_have_the_same_budget(tmp_path):
+    experiment = tiny(total_steps=200, finetune_steps=70)  # in whole rollouts of every body: 288 and 192
     shared, _ = run(experiment, "shared", tmp_path)
     independent, told = run(experiment, "independent", tmp_path)
     steps = [[part["env_steps"] for part in record["training"].values()] for record in (shared, independent)]
@@ -128,11 +101,11 @@ def test_both_arms_have_the_same_budget(experiments, tmp_path):
     assert shared["scores"]["seen"]["shared"] != independent["scores"]["seen"]["independent"]
 
 
-def test_the_untrained_policy_is_where_shared_training_starts(experiments):
-    experiment = tiny(experiments)
+def test_the_untrained_policy_is_where_shared_training_starts():
+    experiment = tiny()
     arena, designs = Arena(experiment.task, experiment.material), experiment.designs()["seen"]
     ppo = experiment.ppo("shared")
-    fresh = experiments.untrained_policy(arena, designs, ppo)["actor"]
+    fresh = sharing.untrained_policy(arena, designs, ppo)["actor"]
     config = replace(ppo, num_worlds=len(designs) * ppo.num_worlds)
     trainer = Trainer(lambda *, num_worlds, seed: arena.make(designs, num_worlds // len(designs), seed), config)
     start = trainer.actor.state_dict()
@@ -141,8 +114,8 @@ def test_the_untrained_policy_is_where_shared_training_starts(experiments):
 
 
 @pytest.mark.usefixtures("short_episodes")
-def test_a_stopped_arm_resumes_exactly(experiments, whole, tmp_path):
-    experiment = tiny(experiments)
+def test_a_stopped_arm_resumes_exactly(whole, tmp_path):
+    experiment = tiny()
     for updates in (1, 2):  # within shared training, then within fine-tuning
         calls = iter(range(100))
         stopped, _ = run(
@@ -156,65 +129,30 @@ def test_a_stopped_arm_resumes_exactly(experiments, whole, tmp_path):
     assert resumed["scores"] == whole[1]["scores"]
 
 
-def test_intervals(sharing):
-    rng = np.random.default_rng(3)
-    values = rng.normal(5.0, 2.0, 400)
-    low, high = sharing.interval(sharing.resampled_means(values, rng))
-    half = 1.96 * values.std() / 20  # of the normal distribution
-    assert (low, high) == pytest.approx((values.mean() - half, values.mean() + half), abs=0.1 * half)
-
-
-def test_differences_on_the_same_bodies_are_paired(sharing):
+def test_differences_on_the_same_bodies_are_paired():
     spread = [0.0, 4.0, 8.0]
     shared = arm("shared", {"seen": {"shared": [x + 1 for x in spread]}, "unseen": {"zero-shot": spread}}, ["shared"])
     independent = arm("independent", {"seen": {"independent": spread}, "unseen": {}})
-    paired, gap = sharing.summarise([shared, independent])["differences"]
-    assert (paired["mean"], paired["interval"], paired["better_on"]) == (1.0, [1.0, 1.0], 3)
+    rows = Sharing().summarise([shared, independent])
+    paired, gap = [row for row in rows if "difference" in row]
+    assert (paired["mean"], paired["interval"], paired["better_on"]) == (1.0, (1.0, 1.0), "3 of 3")
     assert gap["mean"] == -1.0
     assert gap["interval"][0] < -3 < 3 < gap["interval"][1]  # of different bodies: nothing cancels
 
 
-def test_table_and_figure(sharing, tmp_path):
+def test_table_and_figure(tmp_path):
     scores = {"seen": {"untrained": [0.0, 0.5], "shared": [4.0, 6.5]}, "unseen": {}}
     arms = [arm("shared", scores, ["shared"])]
-    text = sharing.table(sharing.summarise(arms))
+    text = Sharing().table(Sharing().summarise(arms))
     row = next(line for line in text.splitlines() if "| shared" in line)
     assert [cell.strip() for cell in row.strip("|").split("|")] == [
         "2 seen", "shared", "1,000", "5.25", "4.00 to 6.50", "5.25", "6.00"
     ]  # fmt: skip
     assert "difference" not in text  # there is nothing to compare
-    assert "difference" in sharing.table(
-        sharing.summarise([*arms, arm("independent", {"seen": {"independent": [1, 2]}})])
-    )
+    both = [*arms, arm("independent", {"seen": {"independent": [1, 2]}})]
+    assert "difference" in Sharing().table(Sharing().summarise(both))
     pytest.importorskip("matplotlib")
     arms[0]["training"]["scratch"] = {"curve": [[0.0, 0.1], [100.0, 2.0]]}
-    sharing.plot(arms, tmp_path / "scores.png")
-    sharing.plot([], tmp_path / "none.png")  # all arms failed
+    Sharing().plot(arms, tmp_path / "scores.png")
+    Sharing().plot([], tmp_path / "none.png")  # all arms failed
     assert (tmp_path / "scores.png").stat().st_size > (tmp_path / "none.png").stat().st_size > 0
-
-
-def test_an_existing_folder_is_refused(sharing, tmp_path, capsys):
-    (tmp_path / "something").touch()
-    assert sharing.main(sharing.Options(output=tmp_path)) == 2
-    assert "--overwrite" in capsys.readouterr().err
-
-
-@pytest.mark.slow
-def test_a_tiny_experiment_from_end_to_end(tmp_path):
-    command = [sys.executable, str(BENCHMARKS / "sharing.py"), "--output", str(tmp_path / "run"), "--bodies", "2"]
-    command += ["--unseen", "2", "--total-steps", "128", "--finetune-steps", "32", "--worlds", "1"]
-    first = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert first.returncode == 0, first.stderr
-    results = json.loads((tmp_path / "run" / "results.json").read_text())
-    assert results["finished"]
-    assert [row["policy"] for row in results["summary"]["scores"]] == [
-        "untrained", "shared", "independent", "untrained", "zero-shot", "fine-tuned", "scratch"
-    ]  # fmt: skip
-    page = (tmp_path / "run" / "results.md").read_text()
-    assert "fine-tuned - scratch, unseen" in page
-    assert page.splitlines()[-1] in first.stdout
-    assert (tmp_path / "run" / "scores.png").exists()
-    assert subprocess.run(command, capture_output=True, check=False).returncode == 2
-    again = subprocess.run([*command, "--resume"], capture_output=True, text=True, check=False)
-    assert again.returncode == 0, again.stderr
-    assert json.loads((tmp_path / "run" / "results.json").read_text())["summary"] == results["summary"]

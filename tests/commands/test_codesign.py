@@ -16,8 +16,7 @@ from evogymcm.algos import BodyPPOConfig
 from evogymcm.algos.codesign import CodesignConfig, SearchConfig, codesign, cost_of
 from evogymcm.algos.codesign.parallel import codesign_in
 from evogymcm.commands import _options
-from evogymcm.commands.codesign import options as codesign_options
-from evogymcm.commands.codesign import without_choices
+from evogymcm.commands.codesign import Options, without_choices
 from tests.commands.tools import refused
 
 PPO = ["--ppo.total-steps", "64", "--ppo.num-worlds", "4", "--ppo.rollout-steps", "8", "--ppo.hidden", "8"]
@@ -33,7 +32,7 @@ def test_a_run_from_end_to_end(sprint, arm, capsys, tmp_path):
     config, result = (json.loads((run / name).read_text()) for name in ("config.json", "result.json"))
     assert (config["task"], config["arm"], config["shape"]) == (sprint, arm, [2, 3])
     assert result["finished"]
-    assert result["bodies"] == 4
+    assert result["n_designs"] == 4
     best = result["best"]
     assert best["body"] in out
     assert float(re.search(r"^score +(\S+)", out, re.MULTILINE)[1]) == pytest.approx(best["fitness"], abs=6e-4)
@@ -73,7 +72,7 @@ def test_a_stopped_run_goes_on_to_the_same_result(sprint, capsys, monkeypatch, t
 def test_a_limit_in_env_steps_ends_the_run(sprint, capsys, tmp_path):
     assert main(["codesign", sprint, "--arm", "fixed", *TINY, "--max-env-steps", "10", "--run", "run"]) == 0
     assert "ends with the generation in which 10 env-steps are reached" in capsys.readouterr().out
-    assert json.loads((tmp_path / "run" / "result.json").read_text())["bodies"] == 3  # the first generation
+    assert json.loads((tmp_path / "run" / "result.json").read_text())["n_designs"] == 3  # the first generation
 
 
 def test_a_file_of_a_world_is_a_task(capsys, tmp_path, monkeypatch):
@@ -128,7 +127,7 @@ def test_the_same_wish_gives_the_same_settings(sprint, tmp_path):
             ),
         ),
     ):
-        given = tyro.cli(codesign_options(), args=[sprint, *arguments])
+        given = tyro.cli(Options, args=[sprint, *arguments])
         assert without_choices(given.config) == config
     own = BodyPPOConfig(total_steps=50_000)  # a wish that says nothing of worlds and sharing
     assert (own.num_worlds, own.minibatch, own.eval_interval, own.sharing) == (16, 128, 10_000, "independent")

@@ -38,7 +38,7 @@ def test_a_run_from_end_to_end(sprint, capsys, tmp_path):
     assert config["ppo"]["total_steps"] == 64
 
     env = SoftRobotEnv(sprint, BODY, 1, material="reactive", num_threads=1)
-    alone = evaluate(load_actor(RunFolder(run, config, resume=True).load("final")), env)
+    alone = evaluate(load_actor(RunFolder.open(run).load("final")), env)
     assert number(out, "score") == pytest.approx(alone.score[0], abs=6e-4)
     assert f"of at most {alone.ceiling[0]:.2f}" in out
     rows = [json.loads(line) for line in (run / "curve.jsonl").read_text().splitlines()]
@@ -187,7 +187,7 @@ def test_watch_refuses_what_cannot_be_played(sprint, capsys):
     for wrong, message in [
         ([], "TASK: needed"),
         (["--policy", "alone.pt"], "does not say on which one"),
-        (["--policy", "alone.pt", sprint], "--body"),
+        (["--policy", "alone.pt", sprint], "bodies: got none"),
         (["--policy", "run/checkpoint.pt"], "holds no policy"),
         (["--policy", "run/config.json"], "cannot be read"),
         (["--policy", "run", "--out", "run.jpg"], ".png, .mp4, .gif"),

@@ -2,15 +2,14 @@
 
 import json
 from dataclasses import asdict, dataclass, replace
-from functools import partial
 from itertools import product
 
 import numpy as np
 import pytest
 
-from evogymcm.algos import BodyPPOConfig, PPOConfig, RunFolder, Trainer
+from evogymcm.algos import BodyPPOConfig, PPOConfig, RunFolder, TrainConfig, train
 from evogymcm.algos.codesign import CodesignConfig, SearchConfig, codesign
-from evogymcm.envs import SoftRobotEnv, Task
+from evogymcm.envs import Task
 from tests.registries import registered
 
 PPO = PPOConfig(total_steps=64, num_worlds=4, rollout_steps=8, epochs=1, minibatch=16, hidden=8, eval_interval=32)
@@ -46,11 +45,9 @@ def training(tmp_path_factory):
     """A folder of four training runs: two arms, two seeds."""
     folder = tmp_path_factory.mktemp("training")
     for arm, seed in product(("invariant", "reactive"), range(2)):
-        ppo = replace(PPO, seed=seed)
-        config = {"task": "Dart-v0", "material": arm, "bodies": [BODY], "ppo": asdict(ppo)}
-        make_env = partial(SoftRobotEnv, "Dart-v0", bodies=BODY, material=arm, num_threads=1)
+        config = TrainConfig("Dart-v0", BODY, arm, ppo=replace(PPO, seed=seed))
         with registered(DART):
-            Trainer(make_env, ppo).train(run=RunFolder(folder / f"{arm}-{seed}", config))
+            train(config, run=folder / f"{arm}-{seed}", num_threads=1)
     return folder
 
 

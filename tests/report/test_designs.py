@@ -5,12 +5,12 @@ import re
 import numpy as np
 import pytest
 
+from evogymcm.algos.runs import RunRecord
 from evogymcm.body import Body
 from evogymcm.envs.render import palette
 from evogymcm.report.designs import design_sections
 from evogymcm.report.lineage import ancestors, lineage_svg, shown_by_generation
 from evogymcm.report.pictures import average_field, body_svg, css, stiffness_svg
-from evogymcm.report.runs import CodesignRun
 from evogymcm.report.sources import make_arms, read_source
 
 
@@ -21,8 +21,7 @@ def individual(index, parent, generation, fitness):
 
 def run_of(*rows):
     curve = ((1, max(row["fitness"] for row in rows)),)
-    individuals = {row["index"]: row for row in rows}
-    return CodesignRun("run", None, "Walker-v0", "fixed", 0, {}, True, 1, curve, None, individuals, len(rows))
+    return RunRecord("codesign", "Walker-v0", "fixed", "invariant", seed=0, finished=True, curve=curve, rows=rows)
 
 
 def test_a_body_has_a_square_of_its_colour_for_each_voxel():
@@ -52,8 +51,8 @@ def test_averages_are_geometric_and_only_over_voxels():
 
 def test_the_line_of_the_best():
     run = run_of(individual(0, None, 0, 1.0), individual(1, 0, 1, 0.5), individual(2, 1, 3, 2.0))
-    assert ancestors(run.individuals, 2) == [2, 1, 0]
-    assert ancestors(run_of(individual(3, 7, 1, 1.0)).individuals, 3) == [3]  # its parent is not recorded
+    assert ancestors(run.designs, 2) == [2, 1, 0]
+    assert ancestors(run_of(individual(3, 7, 1, 1.0)).designs, 3) == [3]  # its parent is not recorded
     svg = lineage_svg(run)
     assert svg.count('<path d="M') - 3 * 6 == 2  # links; each body has 4 types and 2 marks
     assert [int(found) for found in re.findall(r">generation (\d)<", svg)] == [0, 1, 3]
@@ -62,7 +61,7 @@ def test_the_line_of_the_best():
 def test_of_large_generations_the_best_and_the_line_are_shown():
     rows = [individual(i, None, 0, float(-i)) for i in range(20)]
     run = run_of(*rows, individual(20, 19, 1, 5.0))
-    shown = shown_by_generation(run, ancestors(run.individuals, 20))
+    shown = shown_by_generation(run, ancestors(run.designs, 20))
     assert [row["index"] for row in shown[0]] == [*range(8), 19]
     assert "and 11 more" in lineage_svg(run)
 

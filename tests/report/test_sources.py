@@ -9,7 +9,7 @@ import pytest
 
 from evogymcm.algos import RunFolder
 from evogymcm.algos.codesign import Codesign, SearchConfig
-from evogymcm.report.runs import CodesignRun, TrainingRun, read_run
+from evogymcm.algos.runs import RunRecord
 from evogymcm.report.sources import make_arms, read_source, read_sources
 from tests.report.conftest import TINY
 
@@ -24,33 +24,34 @@ def test_a_training_run(training):
     source = read_source(training / "reactive-1")
     (run,) = source.runs
     assert (source.kind, source.planned) == ("training run", None)
-    assert isinstance(run, TrainingRun)
-    assert (run.task, run.arm, run.seed, run.body) == ("Dart-v0", "reactive", 1, "HVH/S.R")
+    assert run.kind == "train"
+    assert (run.task, run.label, run.seed, run.body) == ("Dart-v0", "reactive", 1, "HVH/S.R")
     assert (run.finished, run.env_steps) == (True, 64)
     rows = [json.loads(line) for line in (training / "reactive-1" / "curve.jsonl").read_text().splitlines()]
     scores = [row["score"] for row in rows if "score" in row]
     assert len(scores) == 3
-    assert (run.untrained, run.final, run.best) == (scores[0], scores[-1], max(scores))
-    assert run.final_return == rows[-1]["return"]
+    assert (run.untrained, run.final_of("score"), run.best_score) == (scores[0], scores[-1], max(scores))
+    assert run.final_of("return") == rows[-1]["return"]
 
 
 def test_a_stopped_training_run_has_no_final_score(training, tmp_path):
     folder = tmp_path / "stopped"
     shutil.copytree(training / "reactive-0", folder)
-    (folder / "final.pt").unlink()
+    for name in ("final.pt", "result.json"):
+        (folder / name).unlink()
     table = folder / "curve.jsonl"
     table.write_text("".join(table.read_text().splitlines(keepends=True)[:-1]) + '{"env_steps": 64, "sco')
     (run,) = read_source(folder).runs
     assert (run.finished, run.final, run.env_steps) == (False, None, 32)
-    assert run.best is not None
+    assert run.best_score is not None
 
 
 def test_a_co_design_run(evolved):
     source = read_source(evolved / "invariant-0")
     (run,) = source.runs
     assert source.kind == "co-design run"
-    assert isinstance(run, CodesignRun)
-    assert (run.arm, run.seed, run.bodies, run.finished) == ("invariant", 0, 6, True)
+    assert run.kind == "codesign"
+    assert (run.label, run.seed, run.n_designs, run.finished) == ("invariant", 0, 6, True)
     rows = [json.loads(line) for line in (evolved / "invariant-0" / "curve.jsonl").read_text().splitlines()]
     assert len(rows) > 6
     assert run.curve[-1] == (rows[-1]["env_steps"], rows[-1]["best"])
@@ -62,8 +63,8 @@ def test_a_suite_by_its_results_alone(suite):
     assert (source.kind, source.planned, len(source.runs)) == ("experiment A", 6, 6)
     assert source.paper["Walker-v0", "control-only"] == (9.46, 0.03)
     control, both = make_arms([source])
-    assert [run.final for run in both.runs] == [9.0, 9.25, 9.5]
-    assert [run.best for run in control.runs] == [8.5, 8.75, 9.0]
+    assert [run.final_of("score") for run in both.runs] == [9.0, 9.25, 9.5]
+    assert [run.best_score for run in control.runs] == [8.5, 8.75, 9.0]
     assert control.paper == {"Walker-v0": (9.46, 0.03)}
 
 
@@ -103,13 +104,13 @@ def test_co_design_is_finished_when_it_is(tmp_path, method):
     state, seen = Codesign(config, RunFolder(tmp_path / "run", asdict(config))), []
     while not state.is_finished:
         assert state.advance()
-        run = read_run(tmp_path / "run")
+        run = RunRecord.read(tmp_path / "run")
         assert run.finished == state.is_finished
-        seen.append(run.bodies)
+        seen.append(run.n_designs)
     assert seen[-1] == 4
     (tmp_path / "run" / "codesign.pt").write_bytes(b"nonsense")
     with pytest.raises(ValueError, match="not the state of a co-design run"):
-        read_run(tmp_path / "run")
+        RunRecord.read(tmp_path / "run")
 
 
 def test_files_of_a_run_are_newer_than_what_an_earlier_sitting_said(training, tmp_path):
@@ -117,10 +118,11 @@ def test_files_of_a_run_are_newer_than_what_an_earlier_sitting_said(training, tm
     shutil.copytree(training / "reactive-0", folder)
     early = {"task": "Dart-v0", "seed": 0, "finished": False, "env_steps": 32, "train_seconds": 0.0, "final": None}
     (folder / "result.json").write_text(json.dumps(early))
-    run, whole = read_run(folder), read_run(training / "reactive-0")
-    assert run == replace(whole, path=folder)
+    run, whole = RunRecord.read(folder), RunRecord.read(training / "reactive-0")
+    final = {name: value for name, value in whole.final.items() if name != "ceiling"}
+    assert run == replace(whole, path=folder, final=final, origin={})
     (folder / "result.json").write_text(json.dumps(early | {"finished": True, "final": {"score": 7.0}}))
-    assert read_run(folder, early).final == 7.0  # the folder's record is newer than the suite's
+    assert RunRecord.read(folder, early).final_of("score") == 7.0  # the folder's record is newer than the suite's
 
 
 def test_seeds_of_equal_settings_are_one_arm(training):

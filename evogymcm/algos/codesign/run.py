@@ -23,6 +23,8 @@ from evogymcm.algos.codesign.material_search import MaterialSearch
 from evogymcm.algos.codesign.scoring import score_alone, score_mutants, score_proposals
 from evogymcm.algos.learning.seeding import derived_seed
 from evogymcm.algos.runs.folder import RunFolder, stop_on_interrupt
+from evogymcm.algos.runs.origin import find_origin
+from evogymcm.algos.runs.record import RunRecord, best_curve
 
 __all__ = ["ARMS", "Codesign", "CodesignConfig", "CodesignProgress", "CodesignResult", "SearchConfig", "codesign"]
 
@@ -316,10 +318,34 @@ def codesign(
         ValueError: A run of these settings cannot start, see `CodesignConfig.check`; nothing has been simulated then.
     """
     with run.lock() if run else nullcontext():
-        state = Codesign(config, run)
+        state, origin = Codesign(config, run), find_origin() if run else {}
+        if run:
+            _record(state, origin).write(run)
         with stop_on_interrupt() if should_stop is None else nullcontext(should_stop) as is_stopped:
             while not state.is_finished and not is_stopped():
                 if not state.advance(progress, is_stopped):
                     break
+        if run:
+            _record(state, origin).write(run)
     best, policy = state.ledger.champion or (None, None)
     return CodesignResult(best, policy, state.ledger.rows, state.env_steps, state.is_finished)
+
+
+def _record(state: Codesign, origin: Mapping[str, Any]) -> RunRecord:
+    """Returns what the run is, and what has come of it so far."""
+    config, rows, champion = state.config, state.ledger.rows, state.ledger.champion
+    return RunRecord(
+        "codesign",
+        config.task,
+        label=config.arm,
+        material=ARMS[config.arm],
+        stiffness={"fixed": 1.0, "prescribed": config.prescribed}.get(config.arm),
+        edge_rule=config.edge_rule,
+        seed=config.seed,
+        finished=state.is_finished,
+        env_steps=state.env_steps,
+        curve=best_curve(rows),
+        best=champion and champion[0].record(),
+        n_designs=len({row["index"] for row in rows}),
+        origin=origin,
+    )

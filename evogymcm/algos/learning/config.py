@@ -44,18 +44,18 @@ class PPOConfig:
         num_worlds: worlds simulated together.
         rollout_steps: env-steps per world between two updates.
         epochs: passes over a rollout per update.
-        minibatch: env-steps per gradient step, of each set of weights.
-        learning_rate: of Adam, at the start.
-        decay_learning_rate: whether it falls linearly to zero at the end.
+        minibatch: env-steps in a gradient step, for each set of weights.
+        learning_rate: Adam's learning rate at the start.
+        decay_learning_rate: whether the learning rate falls linearly to zero at the end.
         gamma: discount per env-step.
-        gae_lambda: of the advantage estimate.
+        gae_lambda: lambda of the generalised advantage estimate.
         clip: how far the probability ratio may move from 1.
-        entropy_weight: of the exploration bonus (entropy before clipping, summed over voxels and heads).
-        value_weight: of the critic's squared error.
+        entropy_weight: weight of the exploration bonus (entropy before clipping, summed over voxels and heads).
+        value_weight: weight of the critic's squared error.
         max_grad_norm: limit of the gradient's norm, of actor and critic each.
         target_kl: an update stops after an epoch that moved the policy further than 1.5 times this; 0 for no limit.
         reward_scale: factor on rewards within the learner; scores and returns are never scaled.
-        hidden: width of the networks; None for that of their kind, 32 ("voxel") or 64 ("mlp").
+        hidden: width of the networks; None for their kind's default, 32 ("voxel") or 64 ("mlp").
         network: "voxel" (shared by all voxels of any body) or "mlp" (plain, on the flat observation of one body).
         context: what a voxel knows of the rest of its body, see `VoxelActor`.
         sharing: "shared" (one set of weights for all designs) or "independent" (a set for each, trained side by side).
@@ -63,12 +63,12 @@ class PPOConfig:
         final_std: the most exploration at the end; the limit falls geometrically from `initial_std`. A policy that has
             only ever acted with much noise may get stuck without it.
         schedule: which part of the schedules of learning rate and exploration the run covers: (0, 1) is all of it.
-        noise_correlation: of exploration noise, from one env-step to the next. Correlated noise moves a body further
-            than white noise, whose pushes cancel each other (Hollenstein et al., 2024); each step's noise by itself has
-            the policy's distribution, which is all that the likelihood ratios look at.
+        noise_correlation: correlation of exploration noise from one env-step to the next. Correlated noise moves a body
+            further than white noise, whose pushes cancel each other (Hollenstein et al., 2024); each step's noise by
+            itself has the policy's distribution, which is all that the likelihood ratios look at.
         eval_interval: env-steps between evaluations; 0 for only the untrained and the final policy.
         eval_worlds: worlds in an evaluation; None for one of each design, or 8 where the task draws at random.
-        seed: of weights, exploration and environments.
+        seed: seed of weights, exploration and environments.
         torch_threads: threads of torch while training.
 
     Raises:

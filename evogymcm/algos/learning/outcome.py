@@ -15,9 +15,9 @@ class Progress:
     """State of a run, given to the caller after every update.
 
     Attributes:
-        env_steps: done so far, in all worlds together.
-        total_steps: of the whole run.
-        seconds: spent so far, earlier sittings of a resumed run included.
+        env_steps: env-steps done so far, in all worlds together.
+        total_steps: env-steps of the whole run.
+        seconds: wall time so far, earlier sittings of a resumed run included.
         row: newest row of the table: losses, mean reward, and scores where there was an evaluation.
     """
 
@@ -36,7 +36,7 @@ class TrainResult:
         critic: the last value function.
         rows: the table, one row per update and one, with `env_steps` 0, for the untrained policy.
         final: evaluation of the last policy; None if the run was stopped.
-        env_steps: done in all worlds together.
+        env_steps: env-steps of training, in all worlds together.
         eval_steps: env-steps simulated in evaluations, which `env_steps` leaves out.
         seconds: wall time of training and evaluations.
         finished: False if the run was stopped before its end.

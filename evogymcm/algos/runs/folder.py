@@ -20,7 +20,8 @@ from evogymcm._files import write_atomic
 
 __all__ = ["RunFiles", "RunFolder", "RunInUseError", "stop_on_interrupt"]
 
-_CONFIG, _TABLE, _LOCK = "config.json", "curve.jsonl", ".lock"
+CONFIG, TABLE = "config.json", "curve.jsonl"
+_LOCK = ".lock"
 _CANNOT_LOCK = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP)  # of some network file systems
 _SAME_PRESS = 0.5  # seconds; launchers may pass one Ctrl-C on twice
 
@@ -53,7 +54,7 @@ class RunFiles:
     @property
     def config(self) -> dict[str, Any]:
         """The settings of the run, {} where the folder has none."""
-        return self.read_json(_CONFIG)
+        return self.read_json(CONFIG)
 
     def read_json(self, name: str) -> dict[str, Any]:
         """Returns the object in a JSON file, {} where there is no such file.
@@ -78,7 +79,7 @@ class RunFiles:
         Raises:
             ValueError: It is no table of JSON rows.
         """
-        table = self.path / _TABLE
+        table = self.path / TABLE
         if not table.is_file():
             return []
         lines = table.read_text(encoding="utf-8").splitlines(keepends=True)
@@ -127,7 +128,7 @@ class RunFolder(RunFiles):
                 return
             for old in self._files(halves=True):
                 shutil.rmtree(old) if old.is_dir() and not old.is_symlink() else old.unlink()
-            self.write_json(_CONFIG, config)
+            self.write_json(CONFIG, config)
 
     @staticmethod
     def open(path: str | os.PathLike[str]) -> RunFiles:
@@ -137,8 +138,8 @@ class RunFolder(RunFiles):
             ValueError: The folder holds no run.
         """
         files = RunFiles(path)
-        if not any((files.path / name).is_file() for name in (_CONFIG, _TABLE)):
-            raise ValueError(f"{path} holds no run: neither {_CONFIG} nor {_TABLE}")
+        if not any((files.path / name).is_file() for name in (CONFIG, TABLE)):
+            raise ValueError(f"{path} holds no run: neither {CONFIG} nor {TABLE}")
         return files
 
     def _files(self, halves: bool = False) -> list[Path]:
@@ -150,7 +151,7 @@ class RunFolder(RunFiles):
         """Whether a run begins here; False where one is gone on with. Raises an error where neither is allowed."""
         if not self._files():
             return True
-        if not (self.path / _CONFIG).is_file():
+        if not (self.path / CONFIG).is_file():
             raise FileExistsError(f"{self.path} exists and is not a run folder")
         if not (resume or overwrite):
             raise FileExistsError(f"{self.path} exists; set resume to go on with it or overwrite to replace it")
@@ -214,13 +215,13 @@ class RunFolder(RunFiles):
 
     def append(self, row: Mapping[str, Any]) -> None:
         """Adds a row to the table."""
-        with (self.path / _TABLE).open("a", encoding="utf-8") as file:
+        with (self.path / TABLE).open("a", encoding="utf-8") as file:
             file.write(json.dumps(_plain(row), allow_nan=False) + "\n")
 
     def keep_rows(self, count: int) -> None:
         """Cuts the table back to its first `count` rows: what came after the checkpoint will be done again."""
         text = "".join(json.dumps(row) + "\n" for row in self.rows()[:count])
-        write_atomic(self.path / _TABLE, lambda part: part.write_text(text, encoding="utf-8"))
+        write_atomic(self.path / TABLE, lambda part: part.write_text(text, encoding="utf-8"))
 
     def save(self, name: str, state: Mapping[str, Any]) -> None:
         """Writes the checkpoint `name`, atomically; `state` holds tensors, numbers, text, lists and mappings."""

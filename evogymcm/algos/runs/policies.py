@@ -13,6 +13,7 @@ from tensordict.nn import TensorDictModuleBase
 
 from evogymcm.algos.learning.actor import load_actor
 from evogymcm.algos.learning.stacking import PerDesign
+from evogymcm.algos.runs.folder import CONFIG, TABLE
 from evogymcm.algos.runs.record import NOT_RECORDED, RunRecord
 from evogymcm.body import Body, as_body
 from evogymcm.envs import SoftRobotEnv
@@ -137,7 +138,7 @@ def load_policy(path: str | Path) -> SavedPolicy:
 
 def _run(folder: Path) -> RunRecord | None:
     """Returns the run that a file lies in, None where it is alone."""
-    return RunRecord.read(folder) if any((folder / name).is_file() for name in ("config.json", "curve.jsonl")) else None
+    return RunRecord.read(folder) if any((folder / name).is_file() for name in (CONFIG, TABLE)) else None
 
 
 def _load(file: Path) -> Mapping[str, Any]:

@@ -5,18 +5,19 @@ import pickle
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 
 from evogymcm.algos.runs.folder import RunFiles, RunFolder
 from evogymcm.body import Body
 
-__all__ = ["NOT_RECORDED", "Row", "RunRecord", "best_curve"]
+__all__ = ["KINDS", "NOT_RECORDED", "Kind", "Row", "RunRecord", "best_curve"]
 
 Row = Mapping[str, Any]
 Curve = tuple[tuple[float, float], ...]
 Kind = Literal["train", "codesign"]
+KINDS: tuple[Kind, ...] = get_args(Kind)
 
 NOT_RECORDED = "not recorded"
 _RESULT, _SIGNALS, _STATE, _FINAL = "result.json", "signals.json", "codesign", "final.pt"
@@ -25,6 +26,7 @@ _SAVED = (  # in result.json; the settings lie in config.json, the rows in the t
     *("seconds", "curve", "final", "best", "n_designs", "origin"),
 )
 _LABELS = ("variant", "label", "arm")  # by which experiments compare
+_EVALUATION = ("score", "return", "episode_length", "goal_rate", "unstable", "steps_to_goal", "fraction_of_ceiling")
 _FIRST_PHASES = ("screen", "train")  # of a generation of co-design
 _MATERIALS = {  # of arms, as earlier versions called comparisons of settings
     "reactive": "reactive",
@@ -130,6 +132,10 @@ class RunRecord:
         """The robot's name or text, where the run trained no other."""
         return self.bodies[0] if len(self.bodies) == 1 else None
 
+    def final_of(self, name: str) -> float | None:
+        """Returns a number of the last policy's evaluation, None where there is none."""
+        return (self.final or {}).get(name)
+
     @property
     def best_score(self) -> float | None:
         """Largest score among all evaluations, that of the untrained policy included, or of all designs."""
@@ -197,7 +203,7 @@ def _record(name: str, told: Row, config: Row, rows: list[dict[str, Any]], files
         env_steps=max(int(told.get("env_steps") or 0), last),
         seconds=next((row["seconds"] for row in rows[::-1] if "seconds" in row), earlier),
         curve=curve,
-        final=final or (scored[-1] if kind == "train" and finished and scored else None),
+        final=final or (_evaluation(scored[-1]) if kind == "train" and finished and scored else None),
         best=told.get("best") if kind == "codesign" else None,
         origin=told.get("origin") or {},
         config=config,
@@ -208,6 +214,11 @@ def _record(name: str, told: Row, config: Row, rows: list[dict[str, Any]], files
     count = told.get("n_designs") or (told.get("bodies") if kind == "codesign" else 0)
     best = record.ranked()[0] if kind == "codesign" and record.ranked() else record.best
     return replace(record, n_designs=max(len(record.designs), int(count or 0)), best=best)
+
+
+def _evaluation(row: Row) -> Row:
+    """Returns what a row of the table says of an evaluation, without what it says of the update."""
+    return {name: row[name] for name in _EVALUATION if name in row}
 
 
 def _kind(told: Row, config: Row, rows: Sequence[Row]) -> Kind:

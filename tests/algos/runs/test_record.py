@@ -136,7 +136,7 @@ def test_settings_of_training_are_checked():
     assert TrainConfig("Walker-v0", "HHH/V.V").bodies == ("HHH/V.V",)
     assert TrainConfig("BridgeWalker-v0").resolved().bodies == ("Bridge_Bot",)
     assert TrainConfig("Walker-v0", stiffness=np.float32(0.5)).stiffness == 0.5
-    with pytest.raises(ValueError, match="got 2 fields, expected 1"):
+    with pytest.raises(ValueError, match="got 2 fields, expected one for each of 1"):
         TrainConfig("Walker-v0", "HHH/V.V", stiffness=[[[1, 1, 1], [1, 1, 1]]] * 2).designs()
     with pytest.raises(ValueError, match="expected a TrainConfig"):
         train(TINY)

@@ -1,0 +1,1 @@
+"""Speed, fidelity, and the experiments of `run_suite.py`."""
