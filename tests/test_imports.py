@@ -39,7 +39,14 @@ def imported_modules(path):
 
 
 @pytest.mark.parametrize(
-    "module", ["evogymcm", "evogymcm.sim", "evogymcm.sim.world", "evogymcm.algos.learning.playing"]
+    "module",
+    [
+        "evogymcm",
+        "evogymcm.sim",
+        "evogymcm.sim.world",
+        "evogymcm.algos.codesign.config",
+        "evogymcm.algos.learning.playing",
+    ],
 )
 def test_import_loads_no_torch(module):
     loaded = run(f"import sys, {module}; print(*sys.modules)").split()

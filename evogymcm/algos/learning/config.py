@@ -7,7 +7,7 @@ import numpy as np
 
 from evogymcm._messages import brief
 from evogymcm._settings import EdgeRule, Material, check_fields, check_number, check_pair
-from evogymcm.algos.learning.bodies import as_text, default_body, written_out
+from evogymcm.algos.learning.bodies import as_texts, default_body, written_out
 from evogymcm.body import STIFFNESS_HIGH, STIFFNESS_LOW, Body, as_body, check_stiffness
 
 __all__ = ["PPOConfig", "TrainConfig"]
@@ -149,8 +149,7 @@ class TrainConfig:
             raise ValueError(f"task: got {self.task!r}, expected the id of a task or the file of a world")
         if not isinstance(self.ppo, PPOConfig):
             raise ValueError(f"ppo: got {brief(self.ppo)}, expected a PPOConfig")
-        bodies = [self.bodies] if isinstance(self.bodies, str | Body) else self.bodies
-        object.__setattr__(self, "bodies", tuple(as_text(body) for body in bodies))
+        object.__setattr__(self, "bodies", as_texts(self.bodies))
         check_fields(self, {"stiffness": {"low": STIFFNESS_LOW, "high": STIFFNESS_HIGH}})
         if self.stiffness is None:
             return

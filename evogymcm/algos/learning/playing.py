@@ -167,7 +167,8 @@ def _acting(policy: "TensorDictModuleBase") -> Gait:
     from evogymcm.envs.torchrl import check_action
 
     def act(engine: TaskEngine) -> tuple[np.ndarray, np.ndarray | None]:
-        seen = {key: torch.from_numpy(values) for key, values in _observations(engine).items()}
+        shown = engine.observations() | {"com": engine.com, "done": (engine.terminated | engine.truncated)[:, None]}
+        seen = {key: torch.from_numpy(values) for key, values in shown.items()}
         with _deterministic():
             action = policy(TensorDict(seen, [engine.num_worlds])).get("action", None)
         heads = ("actuation", "stiffness") if engine.material == "reactive" else ("actuation",)
@@ -186,18 +187,3 @@ def _deterministic() -> Iterator[None]:
 
     with torch.no_grad(), exploration(False):
         yield
-
-
-def _observations(engine: TaskEngine) -> dict[str, np.ndarray]:
-    """Returns what `SoftRobotEnv` shows of worlds."""
-    seen: dict[str, np.ndarray] = {
-        "voxels": engine.voxels,
-        "types": engine.types,
-        "task": engine.features.astype(np.float32),
-        "occupancy": engine.occupancy,
-        "actuators": engine.actuators,
-        "com": engine.com,
-        "done": (engine.terminated | engine.truncated)[:, None],
-    }
-    flat = engine.flat
-    return seen if flat is None else seen | {"observation": flat}
