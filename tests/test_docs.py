@@ -2,6 +2,7 @@
 
 import contextlib
 import io
+import pkgutil
 import re
 import sys
 import types
@@ -22,7 +23,7 @@ SMALLER = {  # budgets of the pages, and those of the tests
     "total_steps=200_000": "total_steps=64, num_worlds=16, rollout_steps=4",
     "total_steps=50_000": "total_steps=64, num_worlds=16, rollout_steps=4",
     "total_steps=100_000, num_worlds=16": "total_steps=32, num_worlds=4, rollout_steps=8, eval_interval=0",
-    "population=8, budget=32": "population=2, budget=2, search=SearchConfig(rounds=1)",
+    "SearchConfig(), population=8, budget=32": "SearchConfig(rounds=1), population=2, budget=2",
     "total_steps=500_000, num_worlds=64": "total_steps=64, num_worlds=16, rollout_steps=4",
     "total_timesteps=100_000": "total_timesteps=512",
 }
@@ -88,6 +89,13 @@ def test_pages_are_in_the_navigation_and_link_to_files_that_exist():
         assert f": {page}.md\n" in navigation
         for target in re.findall(r"\]\(([^)#:]+)(?:#[^)]*)?\)", text):
             assert (ROOT / "docs" / target).exists(), f"{page}: {target}"
+
+
+def test_functions_of_the_journeys_exist():
+    names = set(re.findall(r"`(evogymcm(?:\.\w+)+)`", PAGES["architecture"]))
+    assert len(names) > 30
+    for name in names:
+        pkgutil.resolve_name(name)  # raises where there is none
 
 
 def test_commands_of_the_pages_exist(capsys):
