@@ -79,7 +79,7 @@ def evaluate(policy: TensorDictModuleBase, env: EnvBase) -> Evaluation:
 
     Args:
         policy: the actor, or any TensorDict module that writes the env's action.
-        env: a SoftRobotEnv, batch size (N,); its task must have a time limit.
+        env: a SoftRobotEnv, batch size (N,), on the policy's device; its task must have a time limit.
     """
     n = env.batch_size.numel()
     score, returns = np.zeros(n), np.zeros(n)
@@ -92,8 +92,8 @@ def evaluate(policy: TensorDictModuleBase, env: EnvBase) -> Evaluation:
             step, state = env.step_and_maybe_reset(policy(state))  # finished worlds start anew and are ignored
             following = step["next"]
             length += running
-            ended = running & following["done"].squeeze(-1).numpy()
+            ended = running & following["done"].squeeze(-1).cpu().numpy()
             for record, key in ((score, "score"), (returns, "return"), (unstable, "unstable"), (goal, "reached")):
-                record[ended] = following[key].squeeze(-1).numpy()[ended]
+                record[ended] = following[key].squeeze(-1).cpu().numpy()[ended]
             running &= ~ended
     return Evaluation(score, returns, length, goal, unstable, ceiling, n * int(length.max()))

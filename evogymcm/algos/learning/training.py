@@ -10,6 +10,7 @@ from typing import Any
 from torchrl.record.loggers import Logger
 
 from evogymcm._messages import brief
+from evogymcm.algos.learning.bodies import RandomBodies
 from evogymcm.algos.learning.config import PPOConfig, TrainConfig
 from evogymcm.algos.learning.env import EnvFactory
 from evogymcm.algos.learning.loop import train_to_the_end
@@ -99,8 +100,13 @@ def make_trainer(config: TrainConfig, num_threads: int | None = None) -> Trainer
         stiffness=fields,
         edge_rule=config.edge_rule,
         num_threads=num_threads,
+        grid_shape=config.random_bodies,
     )
-    return Trainer(make_env, config.ppo)
+    if config.random_bodies is None:
+        return Trainer(make_env, config.ppo)
+    assert config.stiffness is None or isinstance(config.stiffness, float)
+    stream = RandomBodies(config.random_bodies, config.stiffness)
+    return Trainer(partial(make_env, bodies=stream, stiffness=None), config.ppo, make_env)
 
 
 def _record(config: TrainConfig, origin: Mapping[str, Any], result: TrainResult | None) -> RunRecord:
