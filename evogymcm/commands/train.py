@@ -123,10 +123,10 @@ def _config(options: Options) -> TrainConfig:
         random_bodies=options.random_bodies,
         ppo=options.ppo,
     ).resolved()
-    if config.random_bodies is not None and options.stiffness:  # a number: what fits a single voxel
-        (field_of_one,) = read_stiffness(options.stiffness, ["H"]) or ()
-        return replace(config, stiffness=field_of_one.item())
-    fields = read_stiffness(options.stiffness, config.bodies)
+    is_stream = config.random_bodies is not None
+    fields = read_stiffness(options.stiffness, ["H"] if is_stream else config.bodies)
+    if fields is not None and is_stream:  # a number: what fits a single voxel
+        return replace(config, stiffness=fields[0].item())
     return config if fields is None else replace(config, stiffness=tuple(rows.tolist() for rows in fields))
 
 

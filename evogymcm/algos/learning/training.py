@@ -12,7 +12,6 @@ from torchrl.record.loggers import Logger
 from evogymcm._messages import brief
 from evogymcm.algos.learning.bodies import RandomBodies
 from evogymcm.algos.learning.config import PPOConfig, TrainConfig
-from evogymcm.algos.learning.env import EnvFactory
 from evogymcm.algos.learning.loop import train_to_the_end
 from evogymcm.algos.learning.outcome import Progress, TrainResult
 from evogymcm.algos.learning.trainer import Trainer
@@ -92,7 +91,7 @@ def make_trainer(config: TrainConfig, num_threads: int | None = None) -> Trainer
         ValueError: The task, a body or a field cannot be used, or settings do not go together.
     """
     bodies, fields = config.designs()
-    make_env: EnvFactory = partial(
+    make_env = partial(
         SoftRobotEnv,
         config.task,
         bodies=bodies,
