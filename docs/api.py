@@ -93,8 +93,9 @@ def _lines(room: str, name: str) -> list[str]:
 
 def _arguments(value: Any) -> str:
     """The arguments with their defaults; of types, only that there are some."""
+    init = getattr(value, "__init__", None)  # where it says more than a metaclass does
     try:
-        signature = inspect.signature(value)
+        signature = inspect.signature(init if hasattr(init, "__signature__") else value)
     except ValueError:
         return "(...)"
     bare = [p.replace(annotation=inspect.Parameter.empty) for p in signature.parameters.values() if p.name != "self"]

@@ -3,7 +3,7 @@
     python docs/task_table.py            # prints the table
     python docs/task_table.py --write    # puts it into both files
 
-The rows are those of `evogymcm tasks`.
+The rows are those of `evogymcm tasks`, what to do is each task's `about`.
 """
 
 import argparse

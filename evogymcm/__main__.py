@@ -14,6 +14,7 @@ import tyro
 from evogymcm import __version__
 from evogymcm._settings import check_choice
 from evogymcm.commands._errors import UsageError, checking_arguments
+from evogymcm.commands._older import in_present_words
 from evogymcm.commands._options import INTERRUPTED
 
 COMMANDS: MappingProxyType[str, str] = MappingProxyType(  # modules of `evogymcm.commands`, and what they do
@@ -34,7 +35,7 @@ examples:
   evogymcm tasks
   evogymcm train Walker-v0 --body Walk_Bot --run runs/first
   evogymcm watch --policy runs/first
-  evogymcm codesign BridgeWalker-v0 --arm invariant
+  evogymcm codesign BridgeWalker-v0 --material invariant --search
   evogymcm COMMAND --help    # all options of a command
   evogymcm --print-completion bash > ~/.local/share/bash-completion/completions/evogymcm
   evogymcm --version"""
@@ -70,6 +71,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     logging.basicConfig(format="%(message)s")
     try:
         with checking_arguments():  # what settings say of their values
+            if arguments[:1] == ["codesign"]:
+                arguments = ["codesign", *in_present_words(arguments[1:])]
             options = _parse(arguments)
         status = int(import_module(f"evogymcm.commands.{arguments[0]}").run(options, arguments[1:]) or 0)
         sys.stdout.flush()

@@ -48,6 +48,7 @@ cm.register_task(
         observes=("velocity", "relative", "offset", "floor"),
         floor=Window(("ground",)),
         watches=("ball",),
+        about="climb the steps",
     )
 )
 

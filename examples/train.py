@@ -1,9 +1,6 @@
 """Trains one robot to walk, first with control of its actuators alone, then also of its stiffness."""
 
-from functools import partial
-
-from evogymcm.algos import PPOConfig, Progress, Trainer
-from evogymcm.envs import SoftRobotEnv
+from evogymcm.algos import PPOConfig, Progress, TrainConfig, train
 
 BODY = "HHHHH/HHHHH/HH.HH/VV.VV/VV.VV"  # rows of voxels: H and V actuators, S soft, R rigid, '.' empty
 
@@ -15,11 +12,10 @@ def show(progress: Progress) -> None:
 
 def main(total_steps: int = 200_000) -> None:
     """Trains in both settings and prints the scores of the final policies."""
-    config = PPOConfig(total_steps=total_steps, num_worlds=64, seed=0)
+    ppo = PPOConfig(total_steps=total_steps, num_worlds=64, seed=0)
     for material in ("invariant", "reactive"):
         print(material)
-        make_env = partial(SoftRobotEnv, "Walker-v0", bodies=BODY, material=material)
-        result = Trainer(make_env, config).train(progress=show)
+        result = train(TrainConfig("Walker-v0", BODY, material, ppo=ppo), progress=show)
         if result.final is not None:  # None where the run was stopped with Ctrl-C
             score, ceiling = result.final.score[0], result.final.ceiling[0]
             print(f"  score {score:.3f} of at most {ceiling:.2f}, {result.seconds:.0f} s")

@@ -18,6 +18,21 @@ def small_batches_pay(monkeypatch):
     monkeypatch.setattr(_threads, "_PAYS", 1)
 
 
+@pytest.fixture(name="own_registries")
+def _own_registries():
+    """Lets a test register tasks without the others seeing them."""
+    from tests.registries import own_registries
+
+    with own_registries():
+        yield
+
+
+@pytest.fixture
+def headless(monkeypatch):
+    """Windows open without a display."""
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+
+
 @pytest.fixture
 def sprint(tmp_path, monkeypatch):
     """The task's id, while it is registered; runs go to a folder of the test's own."""

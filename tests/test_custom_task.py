@@ -1,7 +1,5 @@
 """The documented example of a world, a task and a body of one's own."""
 
-import importlib.util
-import sys
 from pathlib import Path
 
 import gymnasium
@@ -12,24 +10,20 @@ import evogymcm as cm
 from evogymcm.envs import TaskEngine
 from evogymcm.envs.tasks.walking import Walking
 from evogymcm.sim.constants import Physics
+from tests.examples import EXAMPLES, load_example
 from tests.registries import own_registries
 
 ROOT = Path(__file__).resolve().parents[1]
-EXAMPLE = ROOT / "examples" / "custom_task.py"
 
 
 @pytest.fixture(scope="module")
 def example():
-    spec = importlib.util.spec_from_file_location("custom_task", EXAMPLE)
-    module = importlib.util.module_from_spec(spec)
-    sys.modules["custom_task"] = module  # dataclasses look their module up
     with own_registries():
-        spec.loader.exec_module(module)
-        yield module
+        yield load_example("custom_task")
 
 
 def test_page_shows_the_example():
-    assert EXAMPLE.read_text().rstrip() in (ROOT / "docs" / "custom-tasks.md").read_text()
+    assert (EXAMPLES / "custom_task.py").read_text().rstrip() in (ROOT / "docs" / "custom-tasks.md").read_text()
 
 
 def test_example_runs(example):

@@ -5,15 +5,13 @@ import io
 import re
 import sys
 import types
-from dataclasses import replace
 from importlib.metadata import entry_points
 from itertools import pairwise
 from pathlib import Path
 
 import pytest
 
-from evogymcm.envs import tasks as task_package
-from tests.registries import own_registries
+from tests.registries import shorten
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = {path.stem: path.read_text(encoding="utf-8") for path in sorted((ROOT / "docs").glob("*.md"))}
@@ -44,13 +42,6 @@ def blocks_of(page):
 WITH_CODE = [page for page in PAGES if list(blocks_of(page))]
 
 
-@pytest.fixture(name="own_registries")
-def _own_registries():
-    """Lets a page register tasks without the other tests seeing them."""
-    with own_registries():
-        yield
-
-
 @pytest.mark.usefixtures("own_registries")
 @pytest.mark.parametrize(
     "page", [pytest.param(page, marks=[pytest.mark.slow] * (page == "codesign")) for page in WITH_CODE]
@@ -60,7 +51,7 @@ def test_code_runs_and_prints_what_is_shown(page, tmp_path, monkeypatch):
     module = types.ModuleType("page")  # dataclasses look their module up
     monkeypatch.setitem(sys.modules, "page", module)
     if page not in WHOLE:
-        task_package._REGISTRY["Walker-v0"] = replace(task_package.tasks["Walker-v0"], time_limit=25)
+        shorten("Walker-v0", 25)
     for number, (code, shown) in enumerate(blocks_of(page)):
         for large, small in SMALLER.items():
             code = code.replace(large, small)

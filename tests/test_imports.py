@@ -38,7 +38,7 @@ def imported_modules(path):
             yield from (f"{node.module}.{alias.name}" for alias in node.names)
 
 
-@pytest.mark.parametrize("module", ["evogymcm", "evogymcm.sim", "evogymcm.sim.world"])
+@pytest.mark.parametrize("module", ["evogymcm", "evogymcm.sim", "evogymcm.sim.world", "evogymcm.algos.codesign.config"])
 def test_import_loads_no_torch(module):
     loaded = run(f"import sys, {module}; print(*sys.modules)").split()
     assert not {"torch", "torchrl", "tensordict"} & set(loaded)

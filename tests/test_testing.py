@@ -29,6 +29,7 @@ FIELDS = {
     "spawn that is no cell": ({"spawn": (1.5, 1)}, r"spawn: got 1\.5, expected a whole number"),
     "spawn below the world": ({"spawn": (1, -1)}, "spawn: got -1"),
     "spawn of one number": ({"spawn": (1,)}, r"spawn: got \(1,\), expected a world cell"),
+    "a long story": ({"about": "walk\nand walk"}, "about: got .*expected a few words in one line"),
     "no time": ({"time_limit": 0}, "time_limit: got 0, expected a whole number of at least 1"),
     "broken time": ({"time_limit": 1e3}, r"time_limit: got 1000\.0"),
     "unknown world": ({"world": "Waker-v0"}, "Waker-v0.*Walker-v0"),

@@ -2,13 +2,13 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from statistics import mean, median, stdev
-from typing import Any
+from statistics import mean, median
 
 from benchmarks.experiments.experiment import Record
 from benchmarks.experiments.fixed_robots import FixedRobots
-from benchmarks.experiments.tables import joined, table, with_std
+from benchmarks.experiments.tables import joined, table
 from benchmarks.experiments.training import TrainingJob, best_score, mean_of_curve
+from evogymcm.algos.analysis import summarise
 from evogymcm.algos.learning import PPOConfig
 from evogymcm.algos.learning.config import Material
 
@@ -52,16 +52,13 @@ class Contexts(FixedRobots):
         """Returns one row a task and arm over its finished runs."""
         rows = []
         for task, arm, group in self.groups([run for run in runs if run["finished"]]):
-            scores = [run["final"]["score"] for run in group]
             rates = [run["env_steps_per_s"] for run in group if run["env_steps_per_s"] is not None]
             rows.append(
                 {
                     "task": task,
                     "arm": arm,
                     "env_steps": group[0]["env_steps"],
-                    "scores": scores,
-                    "mean": mean(scores),
-                    "std": stdev(scores) if len(scores) > 1 else None,
+                    "scores": [run["final"]["score"] for run in group],
                     "best_score": mean(map(best_score, group)),
                     "mean_of_curve": mean(mean_of_curve(run["curve"]) for run in group),
                     "env_steps_per_s": median(rates) if rates else None,
@@ -69,7 +66,7 @@ class Contexts(FixedRobots):
             )
         return rows
 
-    def table(self, rows: Sequence[Mapping[str, Any]]) -> str:
+    def table(self, rows: Sequence[Record]) -> str:
         """Returns the summary."""
         lines = [
             (
@@ -85,7 +82,7 @@ class Contexts(FixedRobots):
         ]
         for row in rows:
             speed = "" if row["env_steps_per_s"] is None else f"{row['env_steps_per_s']:,.0f}"
-            head = (row["task"], row["arm"], f"{row['env_steps']:,}", with_std(row["mean"], row["std"]))
+            head = (row["task"], row["arm"], f"{row['env_steps']:,}", str(summarise(row["scores"])))
             best = f"{row['best_score']:.2f}"
             lines.append((*head, joined(row["scores"]), best, f"{row['mean_of_curve']:.2f}", speed))
         return table(lines)

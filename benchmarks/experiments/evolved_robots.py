@@ -10,14 +10,18 @@ import numpy as np
 from benchmarks.experiments import figures
 from benchmarks.experiments.experiment import Comparison, Record, Tell
 from benchmarks.experiments.paper import PAPER, PUBLISHED, PUBLISHED_BODIES
-from benchmarks.experiments.tables import joined, table, with_std
-from evogymcm.algos.analysis import resample
+from benchmarks.experiments.tables import joined, table
+from evogymcm.algos.analysis import resample, summarise
 from evogymcm.algos.codesign import BodyPPOConfig, CodesignConfig, SearchConfig, codesign, cost_of
 from evogymcm.algos.runs import RunFolder, RunRecord
 
 __all__ = ["ARMS", "SIZES_B", "SIZES_C", "CodesignJob", "EvolvedRobots"]
 
-ARMS = ("fixed", "reactive", "invariant")
+ARMS: Mapping[str, Mapping[str, Any]] = {  # -> what differs from the settings of a run with a search
+    "fixed": {"search": None},
+    "reactive": {"material": "reactive", "search": None},
+    "invariant": {},
+}
 
 
 @dataclass(frozen=True)
@@ -57,14 +61,18 @@ class EvolvedRobots(Comparison):
     of whole runs, which end within a phase of each other.
 
     Attributes:
-        codesign: settings of each run; task, seed and material come from the fields above.
+        codesign: settings of each run with a search of stiffness; task, seed and arm come from the fields above.
     """  # noqa: D205
 
-    codesign: CodesignConfig = field(default_factory=CodesignConfig)
+    codesign: CodesignConfig = field(
+        default_factory=lambda: CodesignConfig(material="invariant", search=SearchConfig())
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name, ours in (("task", "tasks"), ("arm", "arms"), ("seed", "seeds")):
+        if not self.codesign.search:
+            raise ValueError("codesign.search: got None, here arms decide whether there is one")
+        for name, ours in (("task", "tasks"), ("seed", "seeds")):
             given = getattr(self.codesign, name)
             if given != getattr(CodesignConfig(), name):
                 raise ValueError(f"codesign.{name}: got {given!r}, here it comes from {ours}")
@@ -72,7 +80,7 @@ class EvolvedRobots(Comparison):
     @property
     def allowed_arms(self) -> tuple[str, ...]:
         """All arms that there are."""
-        return ARMS
+        return tuple(ARMS)
 
     @property
     def steps_per_run(self) -> int:
@@ -82,7 +90,7 @@ class EvolvedRobots(Comparison):
 
     def job(self, task: str, arm: str, seed: int) -> CodesignJob:
         """Returns one run."""
-        return CodesignJob(arm, replace(self.codesign, task=task, seed=seed, arm=arm))
+        return CodesignJob(arm, replace(self.codesign, task=task, seed=seed, **ARMS[arm]))
 
     def summarise(self, runs: Sequence[Record]) -> list[Record]:
         """Returns one row a task and arm: best fitness over the seeds, where the shortest run of the task ended."""
@@ -90,17 +98,13 @@ class EvolvedRobots(Comparison):
         runs = [run for run in runs if run["curve"]]
         for task, arm, group in self.groups(runs):
             end = min(run["curve"][-1][0] for run in runs if run["task"] == task)
-            scores = [float(resample(run["curve"], [end], is_stepwise=True)[0]) for run in group]
             rows.append(
                 {
                     "task": task,
                     "arm": arm,
-                    "seeds": len(group),
                     "env_steps": end,
                     "bodies": float(np.mean([run["n_designs"] for run in group])),
-                    "scores": scores,
-                    "mean": float(np.mean(scores)),
-                    "std": float(np.std(scores, ddof=1)) if len(scores) > 1 else None,
+                    "scores": [float(resample(run["curve"], [end], is_stepwise=True)[0]) for run in group],
                     "ends": [float(run["curve"][-1][1]) for run in group],
                     "end_steps": float(np.mean([run["curve"][-1][0] for run in group])),
                     "returns": [run["best_return"] for run in group if run.get("best_return") is not None],
@@ -108,15 +112,21 @@ class EvolvedRobots(Comparison):
             )
         return rows
 
-    def table(self, rows: Sequence[Mapping[str, Any]]) -> str:
+    def table(self, rows: Sequence[Record]) -> str:
         """Returns the summary, beside published returns where as many bodies were trained."""
         head = ["task", "arm", "seeds", "env-steps", "bodies trained", "best score", "of each seed"]
         head += ["of whole runs", "to env-steps"]
         compared = [row["bodies"] == PUBLISHED_BODIES and bool(row["returns"]) for row in rows]
         lines = [head + ["best return", "published"] * any(compared)]
         for row, is_compared in zip(rows, compared, strict=True):
-            cells = [row["task"], row["arm"], str(row["seeds"]), f"{row['env_steps']:,.0f}", f"{row['bodies']:.0f}"]
-            cells += [with_std(row["mean"], row["std"]), joined(row["scores"])]
+            cells = [
+                row["task"],
+                row["arm"],
+                str(len(row["scores"])),
+                f"{row['env_steps']:,.0f}",
+                f"{row['bodies']:.0f}",
+            ]
+            cells += [str(summarise(row["scores"])), joined(row["scores"])]
             cells += [joined(row["ends"]), f"{row['end_steps']:,.0f}"]
             if is_compared:
                 cells += [f"{np.mean(row['returns']):.2f}", f"{PUBLISHED[row['task']]:.2f}"]
@@ -136,6 +146,7 @@ def _sizes(arms: tuple[str, ...], quick: str, small: tuple[str, ...]) -> Mapping
         budget=1000,
         max_env_steps=600_000,
         finetune_steps=4_096,
+        material="invariant",
         search=SearchConfig(),
         ppo=BodyPPOConfig(total_steps=25_000),
     )

@@ -1,7 +1,7 @@
 """What an experiment is: settings, runs, a summary, a table, a figure."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
@@ -52,7 +52,7 @@ class Experiment(ABC):
         """Returns what is to be told of the records of runs, finished or not, as rows of JSON types."""
 
     @abstractmethod
-    def table(self, rows: Sequence[Mapping[str, Any]]) -> str:
+    def table(self, rows: Sequence[Record]) -> str:
         """Returns the summary in Markdown."""
 
     def plot(self, runs: Sequence[Record], path: Path) -> None:  # noqa: B027  not all have a figure

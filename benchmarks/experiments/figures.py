@@ -39,7 +39,7 @@ def _figure(path: Path, **options: Any) -> Iterator[Any]:
     figure = plt.figure(layout="constrained", **options)
     try:
         yield figure
-        write_atomic(path, lambda part: figure.savefig(part, dpi=150, format="png"))
+        write_atomic(path, lambda part: figure.savefig(part, dpi=100, format="png"))
     finally:
         plt.close(figure)
 

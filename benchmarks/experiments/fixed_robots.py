@@ -3,23 +3,24 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from statistics import mean, stdev
+from statistics import mean
 from typing import Any
 
 from benchmarks.experiments import figures
 from benchmarks.experiments.experiment import Comparison, Record
 from benchmarks.experiments.paper import CONTROL, FIXED_ARMS, PAPER, TREATED
 from benchmarks.experiments.signals import signals_table
-from benchmarks.experiments.tables import table, with_interval, with_std
+from benchmarks.experiments.tables import table, with_interval
 from benchmarks.experiments.training import TrainingJob, best_score
 from benchmarks.experiments.tuned import TUNED
-from evogymcm.algos.analysis import coverage, difference, improvement, interquartile_mean, normalise
+from evogymcm.algos.analysis import coverage, difference, improvement, interquartile_mean, normalise, summarise
 from evogymcm.algos.learning import PPOConfig, TrainConfig
 from evogymcm.algos.learning.config import Material
 
-__all__ = ["SIZES", "FixedRobots", "overall"]
+__all__ = ["SIZES", "FixedRobots"]
 
 KINDS = {"final": "final score", "best": "best in training"}  # scores of a run that are compared
+Pairs = Mapping[str, tuple[Record, Record]]  # task -> rows of both arms
 
 
 @dataclass(frozen=True)
@@ -66,25 +67,38 @@ class FixedRobots(Comparison):
         return TrainingJob(arm, self.settings(task, FIXED_ARMS[arm], seed))
 
     def summarise(self, runs: Sequence[Record]) -> list[Record]:
-        """Returns one row a task and arm: means and standard deviations over the finished runs' seeds.
-
-        The rows of co-optimisation hold the gain over control-only, where the task has both.
-        """
-        rows: dict[tuple[str, str], Record] = {}
+        """Returns one row a task and arm: scores of the finished runs, one a seed, and the paper's."""
+        rows = []
         for task, arm, group in self.groups([run for run in runs if run["finished"]]):
-            row = {"task": task, "arm": arm, "robot": PAPER[task].robot, **_statistics(group)}
-            row["paper_score"], row["paper_std"] = PAPER[task].scores[arm]
-            rows[task, arm] = row
-        for task in self.tasks:
-            if (task, CONTROL) in rows and (task, TREATED) in rows:
-                rows[task, TREATED]["gain"] = _gain(rows[task, CONTROL], rows[task, TREATED])
-        return list(rows.values())
+            fractions = [run["final"].get("fraction_of_ceiling") for run in group]
+            paper, paper_std = PAPER[task].scores[arm]
+            rows.append(
+                {
+                    "task": task,
+                    "arm": arm,
+                    "env_steps": group[0]["env_steps"],
+                    "untrained": mean(run["curve"][0][1] for run in group),
+                    "final": [run["final"]["score"] for run in group],
+                    "fraction_of_ceiling": None if None in fractions else mean(fractions),
+                    "best": [best_score(run) for run in group],
+                    "paper_score": paper,
+                    "paper_std": paper_std,
+                    "signals": [{"seed": run["seed"], **run["signals"]} for run in group if "signals" in run],
+                }
+            )
+        return rows
 
-    def table(self, rows: Sequence[Mapping[str, Any]]) -> str:
+    def table(self, rows: Sequence[Record]) -> str:
         """Returns the paper's scores beside ours, the gain of co-optimisation, and what stiffness does in the gaits."""
         parts = [table(_score_lines(rows))]
-        if any("gain" in row for row in rows):
-            parts += [table(_gain_lines(rows)), table(_overall_lines(overall(rows))), _note(rows)]
+        found = {(row["task"], row["arm"]): row for row in rows}
+        pairs = {
+            task: (found[task, CONTROL], found[task, TREATED])
+            for task in self.tasks
+            if {(task, arm) for arm in FIXED_ARMS} <= found.keys()
+        }
+        if pairs:
+            parts += [table(_gain_lines(pairs)), table(_overall_lines(pairs)), _note(pairs)]
         played = [((row["task"], str(s["seed"])), s) for row in rows for s in row["signals"]]
         if played:
             parts.append(signals_table(("stiffness in gaits", "seed"), played))
@@ -95,109 +109,46 @@ class FixedRobots(Comparison):
         figures.learning_curves(runs, self.tasks, self.arms, path)
 
 
-def _statistics(group: Sequence[Record]) -> Record:
-    """Numbers of one task and arm."""
-    columns = {
-        "final_score": [run["final"]["score"] for run in group],
-        "final_return": [run["final"]["return"] for run in group],
-        "best_score": [best_score(run) for run in group],
-        "untrained_score": [run["curve"][0][1] for run in group],
-    }
-    row: Record = {"seeds": len(group), "env_steps": group[0]["env_steps"]}
-    for name, values in columns.items():
-        row[name] = mean(values)
-        row[f"{name}_std"] = stdev(values) if len(values) > 1 else None  # n - 1 in the denominator
-    row |= {f"{kind}_scores": columns[f"{kind}_score"] for kind in KINDS}
-    fractions = [run["final"].get("fraction_of_ceiling") for run in group]
-    row["fraction_of_ceiling"] = None if None in fractions else mean(fractions)
-    row["signals"] = [{"seed": run["seed"], **run["signals"]} for run in group if "signals" in run]
-    return row
-
-
-def _gain(control: Record, treated: Record) -> Record:
-    """Comparison of the arms of one task."""
-    gain: Record = {"paper": treated["paper_score"] - control["paper_score"]}
-    for kind in KINDS:
-        pair = control[f"{kind}_scores"], treated[f"{kind}_scores"]
-        gain[kind], gain[f"{kind}_interval"] = difference(*pair)
-        gain[f"{kind}_improvement"] = improvement({"": pair[0]}, {"": pair[1]})[0]
-    return gain
-
-
-def overall(rows: Sequence[Mapping[str, Any]]) -> Record:
-    """Returns the comparison over all tasks that have both arms, empty where there is none.
-
-    Scores count in units of the paper's mean of control-only in their task.
-    """
-    tasks = [row["task"] for row in rows if "gain" in row]
-    if not tasks:
-        return {}
-    units = {task: PAPER[task].scores[CONTROL][0] for task in tasks}
-    result: Record = {"tasks": tasks}
-    for kind in KINDS:
-        arms = {
-            arm: normalise(
-                {row["task"]: row[f"{kind}_scores"] for row in rows if row["arm"] == arm and row["task"] in tasks},
-                units,
-            )
-            for arm in FIXED_ARMS
-        }
-        for arm, scores in arms.items():
-            result.setdefault(arm, {})[kind] = interquartile_mean(scores)
-        result.setdefault("improvement", {})[kind] = improvement(arms[CONTROL], arms[TREATED])
-    return result
-
-
-def _score_lines(rows: Sequence[Mapping[str, Any]]) -> list[Sequence[str]]:
-    lines: list[Sequence[str]] = [
-        ("task", "arm", "seeds", "env-steps", "untrained", "final score", "of ceiling", "paper", "best in training")
-    ]
+def _score_lines(rows: Sequence[Record]) -> list[Sequence[str]]:
+    head = ("task", "arm", "seeds", "env-steps", "untrained", "final score", "of ceiling", "paper", "best in training")
+    lines: list[Sequence[str]] = [head]
     for row in rows:
-        fraction = row["fraction_of_ceiling"]
-        lines.append(
-            (
-                row["task"],
-                row["arm"],
-                str(row["seeds"]),
-                f"{row['env_steps']:,}",
-                f"{row['untrained_score']:.2f}",
-                with_std(row["final_score"], row["final_score_std"]),
-                "" if fraction is None else f"{fraction:.1%}",
-                with_std(row["paper_score"], row["paper_std"]),
-                with_std(row["best_score"], row["best_score_std"]),
-            )
-        )
+        final, best, fraction = summarise(row["final"]), summarise(row["best"]), row["fraction_of_ceiling"]
+        cells = [row["task"], row["arm"], str(final.n), f"{row['env_steps']:,}", f"{row['untrained']:.2f}", str(final)]
+        cells += ["" if fraction is None else f"{fraction:.1%}", f"{row['paper_score']:.2f} ({row['paper_std']:.2f})"]
+        lines.append([*cells, str(best)])
     return lines
 
 
-def _gain_lines(rows: Sequence[Mapping[str, Any]]) -> list[Sequence[str]]:
+def _gain_lines(pairs: Pairs) -> list[Sequence[str]]:
     """Co-optimisation minus control-only, task by task; P is how often a run of the former beats one of the latter."""
-    head = ["co-optimisation minus control-only", "seeds"]
-    for name in KINDS.values():
-        head += [name, "P"]
-    lines: list[Sequence[str]] = [[*head, "paper"]]
-    control = {row["task"]: row for row in rows if row["arm"] == CONTROL}
-    for row in (row for row in rows if "gain" in row):
-        gain, seeds = row["gain"], {control[row["task"]]["seeds"], row["seeds"]}
-        cells = [row["task"], " and ".join(map(str, sorted(seeds)))]
+    names = [cell for name in KINDS.values() for cell in (name, "P")]
+    lines: list[Sequence[str]] = [["co-optimisation minus control-only", "seeds", *names, "paper"]]
+    for task, (control, treated) in pairs.items():
+        cells = [task, " and ".join(map(str, sorted({len(control["final"]), len(treated["final"])})))]
         for kind in KINDS:
-            cells.append(with_interval(gain[kind], gain[f"{kind}_interval"], "+.2f"))
-            cells.append(f"{gain[f'{kind}_improvement']:.2f}")
-        lines.append([*cells, f"{gain['paper']:+.2f}"])
+            cells.append(with_interval(*difference(control[kind], treated[kind]), "+.2f"))
+            cells.append(f"{improvement({task: control[kind]}, {task: treated[kind]})[0]:.2f}")
+        lines.append([*cells, f"{treated['paper_score'] - control['paper_score']:+.2f}"])
     return lines
 
 
-def _overall_lines(total: Record) -> list[Sequence[str]]:
-    lines: list[Sequence[str]] = [(f"over {len(total['tasks'])} tasks", *KINDS.values())]
-    names = {arm: f"interquartile mean, {arm}" for arm in FIXED_ARMS} | {"improvement": "P, mean over tasks"}
-    lines += [(name, *(with_interval(*total[key][kind], ".2f") for kind in KINDS)) for key, name in names.items()]
-    return lines
+def _overall_lines(pairs: Pairs) -> list[Sequence[str]]:
+    """All tasks together, where scores count in units of the paper's mean of control-only in their task."""
+    units = {task: PAPER[task].scores[CONTROL][0] for task in pairs}
+    columns = []
+    for kind in KINDS:
+        arms = [normalise({task: pair[i][kind] for task, pair in pairs.items()}, units) for i in range(2)]
+        columns.append([interquartile_mean(arms[0]), interquartile_mean(arms[1]), improvement(*arms)])
+    names = [*(f"interquartile mean, {arm}" for arm in FIXED_ARMS), "P, mean over tasks"]
+    cells = [[with_interval(*found, ".2f") for found in row] for row in zip(*columns, strict=True)]
+    head = (f"over {len(pairs)} tasks", *KINDS.values())
+    return [head, *((name, *row) for name, row in zip(names, cells, strict=True))]
 
 
-def _note(rows: Sequence[Mapping[str, Any]]) -> str:
+def _note(pairs: Pairs) -> str:
     """How the numbers are to be read, with these numbers of seeds."""
-    tasks = {row["task"] for row in rows if "gain" in row}
-    counts = {row["seeds"] for row in rows if row["task"] in tasks}
+    counts = {len(row["final"]) for pair in pairs.values() for row in pair}
     note = (
         "P: how often a run of co-optimisation beats one of control-only. Interquartile means: scores divided by the"
         " paper's control-only mean of their task."

@@ -1,8 +1,9 @@
 """What is shown of results: table.md of a folder, and the tables and figures of docs/results.md and README.md."""
 
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
+from statistics import mean
 from typing import Any
 
 from benchmarks.experiments.fixed_robots import FixedRobots
@@ -51,16 +52,17 @@ def pages() -> dict[Path, str]:
 
 def _short(found: Iterable[Mapping[str, Any]]) -> str:
     """Returns the means of all results of experiment A in a table: best in training, last policy, the paper's."""
-    lines = [("", *(f"{arm}: {kind}" for arm in FIXED_ARMS for kind in ("best", "last", "paper")))]
+    lines: list[Sequence[str]] = [("", *(f"{arm}: {kind}" for arm in FIXED_ARMS for kind in ("best", "last", "paper")))]
     for results in found:
         experiment = parse_command(results["command"]).experiment
         if type(experiment) is FixedRobots:
             rows = {(row["task"], row["arm"]): row for row in experiment.summarise(results["runs"])}
             for task in experiment.tasks:
-                of_task = [rows[task, arm] for arm in FIXED_ARMS]
-                keys = ("best_score", "final_score", "paper_score")
-                name = f"{task}, `--tuned`" if experiment.tuned else task
-                lines.append((name, *(f"{row[key]:.2f}" for row in of_task for key in keys)))
+                line = [f"{task}, `--tuned`" if experiment.tuned else task]
+                for row in (rows[task, arm] for arm in FIXED_ARMS):
+                    scores = (mean(row["best"]), mean(row["final"]), row["paper_score"])
+                    line += [f"{score:.2f}" for score in scores]
+                lines.append(line)
     return f"{table(lines)}\n"
 
 

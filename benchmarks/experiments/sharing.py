@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -13,12 +14,12 @@ from benchmarks.experiments.experiment import Experiment, Record, Tell
 from benchmarks.experiments.tables import table
 from evogymcm import Body, sample_body
 from evogymcm.algos.analysis import difference, summarise
-from evogymcm.algos.codesign import Arena, BodyPPOConfig, Design, score_alone, train_designs
-from evogymcm.algos.codesign.inner_loop import Policy, Trained
+from evogymcm.algos.codesign import BodyPPOConfig, Design, score_alone, train_designs
+from evogymcm.algos.codesign.inner_loop import MakeEnv, Policy, Trained, holding
 from evogymcm.algos.learning import PPOConfig, make_actor
 from evogymcm.algos.learning.threads import limited_threads
 from evogymcm.algos.runs import RunFolder
-from evogymcm.envs import as_task
+from evogymcm.envs import SoftRobotEnv, as_task
 
 __all__ = ["ARMS", "ORDER", "SIZES", "ArmJob", "Sharing", "untrained_policy"]
 
@@ -164,7 +165,7 @@ class Sharing(Experiment):
             rows.append(row | {"better_on": ""})
         return rows
 
-    def table(self, rows: Sequence[Mapping[str, Any]]) -> str:
+    def table(self, rows: Sequence[Record]) -> str:
         """Returns the scores, and the differences."""
 
         def span(row: Mapping[str, Any]) -> str:
@@ -221,22 +222,22 @@ class ArmJob:
     def run(self, folder: Path, resume: bool, tell: Tell, should_stop: Callable[[], bool]) -> Record:
         """Trains and scores in `folder / name` and returns all numbers of the arm."""
         run = RunFolder(folder / self.name, asdict(self), resume=resume)
-        arena = Arena(self.experiment.task, self.experiment.material)
+        make_env = partial(SoftRobotEnv, self.experiment.task, material=self.experiment.material, num_threads=1)
         designs = self.experiment.designs()
         scores: Scores = {"seen": {}, "unseen": {}}
         training: Record = {}
 
         def score(bodies: str, policy: str, weights: Sequence[Policy]) -> None:
-            scores[bodies][policy] = score_alone(arena, designs[bodies], weights).score.tolist()
+            scores[bodies][policy] = score_alone(make_env, designs[bodies], weights).score.tolist()
 
         def train(bodies: str, policy: str, start: list[Policy] | None, before: int) -> Trained:
             ppo, place = self.experiment.ppo(policy), RunFolder(run.path / policy, {"policy": policy}, resume=resume)
             trained = train_designs(
-                arena,
+                make_env,
                 designs[bodies],
                 ppo,
                 run=place,
-                start_from=start,
+                initial=start,
                 progress=lambda state: tell(before + state.env_steps, state.row.get("score")),
                 should_stop=should_stop,
             )
@@ -246,7 +247,7 @@ class ArmJob:
             return trained
 
         if self.arm == "shared":
-            fresh = untrained_policy(arena, designs["seen"], self.experiment.ppo("shared"))
+            fresh = untrained_policy(make_env, designs["seen"], self.experiment.ppo("shared"))
             for bodies, group in designs.items():
                 score(bodies, "untrained", [fresh] * len(group))
         first, second = ARMS[self.arm]
@@ -262,9 +263,9 @@ class ArmJob:
         return record
 
 
-def untrained_policy(arena: Arena, designs: Sequence[Design], ppo: PPOConfig) -> Policy:
+def untrained_policy(make_env: MakeEnv, designs: Sequence[Design], ppo: PPOConfig) -> Policy:
     """Returns the policy that shared training starts from."""
-    env = arena.make(designs, 1, ppo.seed)
+    env = holding(make_env, designs)(num_worlds=len(designs), seed=ppo.seed)
     generator = torch.Generator().manual_seed(ppo.seed)
     with limited_threads(ppo.torch_threads):
         actor = make_actor(env, ppo.hidden, ppo.initial_std, context=ppo.context, generator=generator)

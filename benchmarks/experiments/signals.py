@@ -111,7 +111,7 @@ class SignalStudy(Experiment):
         """Returns the summaries of all runs."""
         return list(runs)
 
-    def table(self, rows: Sequence[Mapping[str, Any]]) -> str:
+    def table(self, rows: Sequence[Record]) -> str:
         """Returns a line a run."""
         return signals_table(("run",), [((row["run"],), row) for row in rows])
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-__all__ = ["joined", "table", "with_interval", "with_std"]
+__all__ = ["joined", "table", "with_interval"]
 
 
 def table(lines: Sequence[Sequence[str]]) -> str:
@@ -10,11 +10,6 @@ def table(lines: Sequence[Sequence[str]]) -> str:
     widths = [max(3, *map(len, column)) for column in zip(*lines, strict=True)]
     ruled = [lines[0], ["-" * width for width in widths], *lines[1:]]
     return "\n".join(f"| {' | '.join(map(str.ljust, line, widths))} |" for line in ruled)
-
-
-def with_std(value: float, std: float | None) -> str:
-    """Returns a mean with its standard deviation, where there is one."""
-    return f"{value:.2f}" if std is None else f"{value:.2f} ({std:.2f})"
 
 
 def with_interval(value: float, interval: Sequence[float] | None, form: str) -> str:

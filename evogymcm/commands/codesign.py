@@ -1,46 +1,44 @@
 """`evogymcm codesign`: evolve bodies together with their material and control, kept in a run folder."""
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 from tyro.conf import arg
 
-from evogymcm._settings import EdgeRule
-from evogymcm.algos.codesign.config import CodesignConfig
+from evogymcm.algos.codesign.config import CodesignConfig, SearchConfig
 from evogymcm.commands._errors import checking_arguments
 from evogymcm.commands._options import INTERRUPTED, Bar, how_to_resume, open_run, write_stiffness
 
 if TYPE_CHECKING:
-    from evogymcm.algos.codesign.run import CodesignProgress, CodesignResult
-    from evogymcm.algos.runs.folder import RunFolder
+    from evogymcm.algos.codesign import CodesignProgress, CodesignResult
+    from evogymcm.algos.runs import RunFolder
 
 DESCRIPTION = """Evolves bodies together with their material and control, and keeps all of it in a run folder.
 
-arms:
-  reactive      bodies evolve, and their policies set stiffness
-  fixed         the same with stiffness 1
-  invariant     stiffness belongs to the design and is searched, and survivors are fine-tuned
-  prescribed    the same with one given stiffness (--prescribed), without search
+materials:
+  --material reactive                     bodies evolve, and their policies set stiffness
+  --material invariant                    bodies evolve, with stiffness 1
+  --material invariant --stiffness 1.5    the same with another stiffness of all voxels
+  --material invariant --search           stiffness belongs to the design and is searched, and survivors are fine-tuned
 
-The --ppo options are those of one body. Ctrl-C stops at the end of the present update; --resume goes on from there.
+Any of the --search options turns the search on. The --ppo options are those of one body. Ctrl-C stops at the end of the
+present update; --resume goes on from there.
 
 examples:
-  evogymcm codesign Walker-v0 --arm reactive --population 8 --budget 32
-  evogymcm codesign BridgeWalker-v0 --arm invariant --max-env-steps 5000000 --search.rounds 10
-  evogymcm codesign Walker-v0 --arm fixed --rungs 0.25 0.5 --keep 0.5 0.5 --ppo.total-steps 200000"""
+  evogymcm codesign Walker-v0 --population 8 --budget 32
+  evogymcm codesign BridgeWalker-v0 --material invariant --max-env-steps 5000000 --search.rounds 10
+  evogymcm codesign Walker-v0 --material invariant --rungs 0.25 0.5 --keep 0.5 0.5 --ppo.total-steps 200000"""
 
 
 @dataclass(frozen=True)
 class Settings(CodesignConfig):
-    """The same with the task in front, and choices where tyro can name them."""
+    """The same with the task in front, and without the search, which is optional as a whole."""
 
     task: Annotated[tyro.conf.Positional[str], arg(metavar="TASK")] = tyro.MISSING
-    arm: Literal["reactive", "fixed", "invariant", "prescribed"] = "reactive"
-    method: Literal["ga", "random", "qd"] = "ga"
-    edge_rule: EdgeRule = "mean_factor"
+    search: Annotated[SearchConfig | None, tyro.conf.Suppress] = None
 
 
 Settings.__doc__ = CodesignConfig.__doc__  # where tyro finds what the fields mean
@@ -52,22 +50,28 @@ class Options:
 
     Attributes:
         config: settings of the run.
+        has_search: search the survivors' stiffness fields, and fine-tune after it.
+        search: settings of that search.
         run: folder of the run.
         resume: go on with the run in the folder.
         overwrite: replace the run in the folder.
     """
 
     config: Annotated[Settings, arg(name="")]
+    has_search: Annotated[bool, arg(name="search")] = False
+    search: SearchConfig = field(default_factory=SearchConfig)
     run: Annotated[
-        Path | None, arg(metavar="FOLDER", help_behavior_hint="(default: runs/TASK-codesign-ARM-seedSEED)")
+        Path | None, arg(metavar="FOLDER", help_behavior_hint="(default: runs/TASK-codesign-MATERIAL-seedSEED)")
     ] = None
     resume: bool = False
     overwrite: bool = False
 
 
-def without_choices(settings: Any) -> CodesignConfig:
-    """Returns the settings of the command line as the library has them: equal to those made there."""
-    return CodesignConfig(**{item.name: getattr(settings, item.name) for item in fields(CodesignConfig)})
+def config_of(options: Options, arguments: Sequence[str]) -> CodesignConfig:
+    """Returns the settings of the run, with a search where any of its options is among the arguments."""
+    settings = {item.name: getattr(options.config, item.name) for item in fields(CodesignConfig)}
+    has_search = any(argument.startswith("--search") for argument in arguments)
+    return CodesignConfig(**settings | {"search": options.search if has_search else None})
 
 
 def run(options: Options, arguments: Sequence[str]) -> int:
@@ -76,23 +80,25 @@ def run(options: Options, arguments: Sequence[str]) -> int:
     Raises:
         UsageError: An argument cannot be used, or an optional package is missing.
     """
+    from evogymcm.algos.codesign.start import check_start
+
     with checking_arguments():
-        config = without_choices(options.config)
-        config.check()
-        path = options.run or Path("runs") / f"{Path(config.task).stem}-codesign-{config.arm}-seed{config.seed}"
+        config = config_of(options, arguments)
+        check_start(config)
+        path = options.run or Path("runs") / f"{Path(config.task).stem}-codesign-{config.material}-seed{config.seed}"
         folder = open_run(path, asdict(config), resume=options.resume, overwrite=options.overwrite)
     return _codesign(config, folder, arguments)
 
 
 def _codesign(config: CodesignConfig, folder: "RunFolder", arguments: Sequence[str]) -> int:
-    from evogymcm.algos.codesign.cost import cost_of
-    from evogymcm.algos.codesign.run import codesign
-    from evogymcm.algos.learning.memory import keep_freed_memory
+    from evogymcm.algos.codesign import codesign, cost_of
+    from evogymcm.algos.learning import keep_freed_memory
 
     cost = cost_of(config)
     limit = cost.total if config.max_env_steps is None else min(cost.total, config.max_env_steps)
     parts = ", ".join(f"{name} {steps:,}" for name, steps in asdict(cost).items() if steps)
-    print(f"{config.budget} bodies, {config.arm} arm: at most {cost.total:,} env-steps ({parts})", flush=True)
+    kind = config.material + (", with a search of stiffness" if config.search else "")
+    print(f"{config.budget} bodies, {kind}: at most {cost.total:,} env-steps ({parts})", flush=True)
     if limit < cost.total:
         print(f"ends with the generation in which {limit:,} env-steps are reached", flush=True)
     with Bar(limit) as bar:
@@ -119,16 +125,17 @@ def _print_best(config: CodesignConfig, result: "CodesignResult", path: Path) ->
     """Prints the best design with its score, had again in a fresh world."""
     import numpy as np
 
-    from evogymcm.algos.codesign.scoring import score_alone
+    from evogymcm.algos.codesign import score_alone
+    from evogymcm.algos.codesign.start import env_maker
 
     assert result.best is not None
     assert result.policy is not None
-    design = result.best.design.in_arm(config.arm, config.prescribed)
-    alone = score_alone(config.make_arena(), [design], [result.policy])
+    design = result.best.design.at(config.stiffness)
+    alone = score_alone(env_maker(config), [design], [result.policy])
     score, ceiling = alone.score[0], alone.ceiling[0]
     bound = "" if np.isnan(ceiling) else f" of at most {ceiling:.2f} ({score / ceiling:.1%})"
     print(f"best design, number {result.best.index} (generation {result.best.generation}): {design.body.text}")
-    if config.arm == "reactive":
+    if config.material == "reactive":
         print("stiffness: set by the policy in every step")
     else:
         print("\n".join(["stiffness:", *write_stiffness(design.field, design.body.occupancy)]))

@@ -11,6 +11,7 @@ __getattr__, __dir__, __all__ = door(
         "core": ["TaskEngine"],
         "gaits": ["sine_gait"],
         "gymnasium": ["GymnasiumEnv", "GymnasiumVectorEnv"],
+        "options": ["EngineOptions", "WorldOptions"],
         "pettingzoo": ["BodiesParallelEnv", "parallel_env"],
         "population": ["PopulationEnv", "population_env"],
         "render.renderer": ["Renderer"],

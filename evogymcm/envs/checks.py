@@ -34,6 +34,8 @@ def check_fields(task: Task, world: World) -> None:
     """
     if not isinstance(task.id, str) or not task.id.strip():
         raise ValueError(f"id: got {task.id!r}, expected a name")
+    if not isinstance(task.about, str) or "\n" in task.about:
+        raise ValueError(f"about: got {task.about!r}, expected a few words in one line")
     _check_whole("time_limit", task.time_limit, 1)
     if not isinstance(task.spawn, tuple | list) or len(task.spawn) != 2:
         raise ValueError(f"spawn: got {task.spawn!r}, expected a world cell (x, y)")

@@ -3,30 +3,28 @@
 Arrays are indexed by world and by cell of the padded grid (V cells, bodies in the upper left corner).
 """
 
-from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
+from collections.abc import Mapping, Sequence
+from typing import Any, Unpack
 
 import numpy as np
 
 from evogymcm.body import Body
 from evogymcm.envs import checks
 from evogymcm.envs.actions import checked_action
-from evogymcm.envs.dealing import MATERIALS, BodySpec, Start, as_bodies, check_grid_shape, deal_fields
+from evogymcm.envs.dealing import BodySpec, Start
 from evogymcm.envs.episodes import Episodes
-from evogymcm.envs.reader import Reader, Sensed
+from evogymcm.envs.lineup import Lineup
+from evogymcm.envs.observed import Observed
+from evogymcm.envs.options import EngineOptions, as_physics, complete, lists_options
 from evogymcm.envs.states import checked_arrays, checked_part
-from evogymcm.envs.streams import BodySource, BodyStream, is_source, pack_bodies
-from evogymcm.envs.task import Snapshot, Task
+from evogymcm.envs.streams import BodySource, BodyStream, pack_bodies
+from evogymcm.envs.task import Task
 from evogymcm.envs.tasks import as_task
-from evogymcm.envs.voxels import N_FEATURES, N_SIDES, describe
-from evogymcm.sim.constants import ACTUATION_HIGH, ACTUATION_LOW, STIFFNESS_HIGH, STIFFNESS_LOW, Physics
+from evogymcm.sim.constants import ACTUATION_HIGH, ACTUATION_LOW, STIFFNESS_HIGH, STIFFNESS_LOW
 from evogymcm.sim.simulator import Simulator
-from evogymcm.sim.world import World
-
-MOST_POINTS = 4  # that a voxel can have of its own
 
 
-class TaskEngine(Episodes):
+class TaskEngine(Observed, Episodes):
     """N worlds of one task, each with its body, stepped and reset together.
 
     Args:
@@ -36,17 +34,10 @@ class TaskEngine(Episodes):
             own and made from its seed, or an iterator, which cannot be seeded or saved. In the invariant setting a
             stream may give (body, stiffness).
         num_worlds: N; as many as bodies by default, 1 under a stream.
-        material: "invariant" (stiffness belongs to the body) or "reactive" (stiffness is part of every action).
-        stiffness: Invariant only: a field of the body's shape in [0.5, 2], or one for each body; None is 1 everywhere.
-            Not under a stream.
-        grid_shape: (rows, columns) of the padded grid; the smallest that holds all bodies by default. Needed under a
-            stream.
-        edge_rule: "mean_factor" or "mean_stiffness", see `evogymcm.sim.scene.Scenery`.
-        physics: Constants; the benchmark's by default.
-        num_threads: Threads; all cores by default.
-        seed: For tasks with random resets and for streams, see `set_seed`.
         with_voxels: Whether to observe voxels (`self.voxels`).
         with_flat: Whether to form the flat observation, where all bodies are equal.
+        options: material, stiffness, edge_rule, physics, num_threads, grid_shape and seed, as all environments take
+            them: see `EngineOptions`.
 
     Attributes:
         bodies: The body of each world.
@@ -67,77 +58,38 @@ class TaskEngine(Episodes):
             mistakes, see `evogymcm.testing.check_task`. A reset raises it where a stream gives such a body, or ends.
     """
 
+    @lists_options
     def __init__(
         self,
         task: str | Task,
         bodies: BodySpec | Sequence[BodySpec] | BodySource,
         num_worlds: int | None = None,
         *,
-        material: str = "invariant",
-        stiffness: np.ndarray | Sequence[np.ndarray | None] | None = None,
-        edge_rule: str = "mean_factor",
-        physics: Physics | None = None,
-        num_threads: int | None = None,
-        seed: int | Sequence[int | None] | None = None,
         with_voxels: bool = True,
         with_flat: bool = True,
-        grid_shape: tuple[int, int] | None = None,
+        **options: Unpack[EngineOptions],
     ) -> None:
-        self.task = as_task(task)
-        if material not in MATERIALS:
-            raise ValueError(f"material: got {material!r}, allowed are {MATERIALS}")
-        self.material = material
-        self._stream: BodyStream | None = None
-        if is_source(bodies):
-            self.grid_shape = check_grid_shape(grid_shape)
-            if stiffness is not None:
-                raise ValueError("stiffness: a stream gives it with each body, as (body, stiffness)")
-            n = self.num_designs = 1 if num_worlds is None else num_worlds
-        else:
-            designs = as_bodies(bodies)
-            self.grid_shape = check_grid_shape(grid_shape, designs)
-            n, self.num_designs = len(designs) if num_worlds is None else num_worlds, len(designs)
-        if n < 1:
-            raise ValueError(f"num_worlds: got {n}, at least 1 is needed")
-        with checks.blaming(self.task):
-            world = self.task.world if isinstance(self.task.world, World) else World.load(self.task.world)
-            checks.check_fields(self.task, world)
-        super().__init__(self.task, n)
-        self._start = Start(self.task, world)
-        fields: np.ndarray | None
-        if is_source(bodies):
-            self._stream = BodyStream(bodies, n, self.grid_shape, material == "invariant")
-            self.set_seed(seed)
-            given = self._stream.next(np.arange(n))
-            self.bodies, fields = tuple(body for body, _ in given), np.stack([field for _, field in given])
-        else:
-            self.set_seed(seed)
-            self.bodies = tuple(designs[i % len(designs)] for i in range(n))
-            fields = deal_fields(stiffness, designs, material, n, self.grid_shape)
-        others = world.simulation_order()
-        placed = {body: (self._start.robot(body), *others) for body in dict.fromkeys(self.bodies)}
-        scenes = [placed[body] for body in self.bodies]
-        is_uniform = self._stream is None and len(placed) == 1
-        if not is_uniform:
-            with checks.blaming(self.task):
-                checks.check_windows(self.task)
-        self.simulator = Simulator(
-            scenes, edge_rule, physics, num_threads, self.grid_shape, placed=self.task.moves_at_reset
+        task, chosen = as_task(task), complete(options)
+        self.material = chosen["material"]
+        lineup = Lineup(bodies, num_worlds, chosen)
+        self._stream, self.num_designs = lineup.stream, lineup.num_designs
+        self._start = Start(task)
+        Episodes.__init__(self, task, lineup.num_worlds)
+        self.set_seed(chosen["seed"])
+        dealt, fields = lineup.deal()
+        scenes = self._start.scenes(dealt)
+        if self._stream is not None or len(set(dealt)) > 1:
+            with checks.blaming(task):
+                checks.check_windows(task)
+        physics, num_threads = as_physics(chosen["physics"]), chosen["num_threads"]
+        simulator = Simulator(
+            scenes, chosen["edge_rule"], physics, num_threads, lineup.grid_shape, placed=task.moves_at_reset
         )
-
-        v = self.simulator.n_cells
-        self.occupancy, self.actuators = np.zeros((n, v), bool), np.zeros((n, v), bool)
-        self.with_voxels = with_voxels
-        self.types = np.zeros((n, v, N_SIDES), np.uint8)
-        self._template = np.zeros((n, v, N_FEATURES), np.float32)
-        self._describe(range(n))
-        self.voxels = self._template.copy()
-        self._reader = Reader(self.task, self.simulator, 0 if self._stream is None else MOST_POINTS * v)
-        self.is_uniform = with_flat and is_uniform
-
+        Observed.__init__(self, task, simulator, dealt, lineup.grid_shape, with_voxels=with_voxels, with_flat=with_flat)
+        n, v = self.occupancy.shape
         self.stiffness = np.ones((n, v)) if fields is None else fields
         self.actuation = np.ones((n, v))
-        if fields is not None and material == "invariant":
+        if fields is not None and self.material == "invariant":
             self.simulator.set_stiffness(self.stiffness)
         if self._stream is not None:
             self._stream.is_new[:] = True
@@ -148,30 +100,12 @@ class TaskEngine(Episodes):
         if self._stream is not None:
             self._stream.is_new[:] = True
 
-    def _describe(self, worlds: Iterable[int]) -> None:
-        """Sets what observations say of the bodies of some worlds."""
-        arrays = self.occupancy, self.actuators, self.types, self._template
-        for world in worlds:
-            topology = self.simulator.objects(world)[0].topology
-            describe(self.bodies[world], topology, self.grid_shape[1], *(values[world] for values in arrays))
-
     def _change_bodies(self, worlds: np.ndarray, bodies: Sequence[Body]) -> None:
         """Gives worlds other bodies, at reset and with stiffness 1."""
         robots = [self._start.robot(body) for body in bodies]
         for world, robot in zip(worlds.tolist(), robots, strict=True):
             self.simulator.set_robot(robot, world)
         self._show_bodies(worlds.tolist(), bodies)
-
-    def _show_bodies(self, worlds: Sequence[int], bodies: Sequence[Body]) -> None:
-        """Has all that is said of some worlds be of other bodies."""
-        changed = list(self.bodies)
-        for world, body in zip(worlds, bodies, strict=True):
-            self._reader.clear(world)
-            changed[world] = body
-        self.bodies = tuple(changed)
-        for name in ("occupancy", "actuators", "types"):  # those that were shown stay as they were
-            setattr(self, name, getattr(self, name).copy())
-        self._describe(worlds)
 
     def _go_on(self, stream: BodyStream, chosen: np.ndarray) -> bool:
         """Gives the chosen worlds their next bodies, where the present one has begun an episode; returns if any had."""
@@ -250,41 +184,6 @@ class TaskEngine(Episodes):
         if self.material != "reactive":
             raise ValueError(f"stiffness: the {self.material} setting takes no stiffness in its actions")
         return checked_action("stiffness", stiffness, self.occupancy, STIFFNESS_LOW, STIFFNESS_HIGH)
-
-    def _renew_voxels(self, mask: np.ndarray | None) -> None:
-        """Gives `voxels` fresh memory, since observations are kept; with the old values, unless all are to be read."""
-        if self.with_voxels:
-            self.voxels = np.empty_like(self._template) if mask is None else self.voxels.copy()
-            self._reader.sense(Sensed(self.stiffness, self.actuation, self._template, self.voxels))
-
-    @property
-    def changes_bodies(self) -> bool:
-        """Whether bodies come from a stream: worlds get another one when they are reset."""
-        return self._stream is not None
-
-    @property
-    def snapshot(self) -> Snapshot:
-        """The present readings. They are overwritten by the step after the next."""
-        return self._reader.now
-
-    @property
-    def com(self) -> np.ndarray:
-        """(N, 2) the robots' centres of mass, metres."""
-        return self._reader.now.robot.com.copy()
-
-    @property
-    def flat(self) -> np.ndarray | None:
-        """(N, D) the task's own flat observation (fresh memory), None where bodies differ."""
-        return self._reader.flat() if self.is_uniform else None
-
-    @property
-    def features(self) -> np.ndarray:
-        """(N, G) global features (fresh memory): COM velocity, sine and cosine of the orientation, the task's parts."""
-        angle = self._reader.now.robot.orientation.copy()  # numpy's sine of a view may round otherwise
-        parts = [self._reader.now.robot.velocity, np.sin(angle)[:, None], np.cos(angle)[:, None]]
-        own = self.task.observation(self._reader.now)
-        parts += [part for name, part in own.items() if name not in ("velocity", "orientation", "relative")]
-        return np.concatenate(parts, axis=1)
 
     def set_seed(self, seed: int | Sequence[int | None] | None) -> None:
         """Seeds random resets and streams: one seed a world, or one for the first, from which the others count up.

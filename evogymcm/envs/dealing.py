@@ -9,6 +9,7 @@ import numpy as np
 
 from evogymcm._messages import brief
 from evogymcm.body import Body, as_body, check_stiffness, is_body_text
+from evogymcm.envs import checks
 from evogymcm.envs.task import Task
 from evogymcm.sim.world import ROBOT, World, WorldObject
 
@@ -80,7 +81,8 @@ def check_grid_shape(grid_shape: Any, designs: Sequence[Body] | None = None) -> 
     except (TypeError, ValueError):
         raise ValueError(f"grid_shape: got {brief(grid_shape)}, expected (rows, columns)") from None
     if rows < needed[0] or columns < needed[1]:
-        raise ValueError(f"grid_shape: got {(rows, columns)}, at least {needed} is needed")
+        which = "" if designs is None else " for these bodies"
+        raise ValueError(f"grid_shape: got {(rows, columns)}, at least {needed} is needed{which}")
     return rows, columns
 
 
@@ -89,12 +91,23 @@ class Start:
 
     Args:
         task: The task.
-        world: Its world.
+
+    Raises:
+        ValueError: The task has mistakes in its fields, or names what its world lacks.
     """
 
-    def __init__(self, task: Task, world: World) -> None:
+    def __init__(self, task: Task) -> None:
+        with checks.blaming(task):
+            world = task.world if isinstance(task.world, World) else World.load(task.world)
+            checks.check_fields(task, world)
         self._task, self._world = task, world
         self._fitting: set[tuple[int, int]] = set()
+
+    def scenes(self, bodies: Sequence[Body]) -> list[tuple[WorldObject, ...]]:
+        """Returns what stands in the world of each body, the robot first; equal bodies share one tuple."""
+        others = self._world.simulation_order()
+        scenes = {body: (self.robot(body), *others) for body in dict.fromkeys(bodies)}
+        return [scenes[body] for body in bodies]
 
     def robot(self, body: Body) -> WorldObject:
         """Returns a body as it starts; ValueError where it does not fit in, which its shape alone decides."""

@@ -5,8 +5,7 @@ stiffness for each voxel, row-major.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import fields
-from typing import Any
+from typing import Any, Unpack
 
 import gymnasium
 import numpy as np
@@ -19,12 +18,13 @@ from evogymcm.envs._per_world import PerWorld, VectorWorld
 from evogymcm.envs.actions import ActionGrid
 from evogymcm.envs.core import TaskEngine
 from evogymcm.envs.dealing import BodySpec, as_bodies
+from evogymcm.envs.options import WorldOptions, lists_options
 from evogymcm.envs.registration import Described
-from evogymcm.envs.render.display import Display
+from evogymcm.envs.render.rendered import Rendered, check_render_mode
 from evogymcm.envs.render.renderer import FPS, make_renderer
 from evogymcm.envs.task import Task
 from evogymcm.envs.world_readings import WorldReadings
-from evogymcm.sim.constants import ACTUATION_HIGH, ACTUATION_LOW, STIFFNESS_HIGH, STIFFNESS_LOW, Physics
+from evogymcm.sim.constants import ACTUATION_HIGH, ACTUATION_LOW, STIFFNESS_HIGH, STIFFNESS_LOW
 
 _NO_LIMIT = -1  # Gymnasium's way to ask for episodes that only a task ends
 _NOMINAL = 100.0  # bounds of the observation space, as in EvoGym; nothing is clipped to them
@@ -44,7 +44,7 @@ def _single_spaces(engine: TaskEngine) -> tuple[spaces.Box, spaces.Box]:
     return observation, spaces.Box(low, high, dtype=np.float64)
 
 
-class GymnasiumEnv(Described, WorldReadings, gymnasium.Env[np.ndarray, np.ndarray]):
+class GymnasiumEnv(Described, Rendered, WorldReadings, gymnasium.Env[np.ndarray, np.ndarray]):
     """One world of one task.
 
     It truncates nothing by itself: `gymnasium.make` puts a `TimeLimit` around it, of `max_episode_steps` or, where none
@@ -58,14 +58,12 @@ class GymnasiumEnv(Described, WorldReadings, gymnasium.Env[np.ndarray, np.ndarra
         task: A task or its id.
         body: Anything that `evogymcm.as_body` takes: a grid of codes, text, a robot's name.
         connections: (2, k) joined pairs of flat indices; all side-adjacent voxels by default.
-        material: "invariant" or "reactive".
-        stiffness: Invariant only: field in [0.5, 2] of the body's shape; None is 1 everywhere, plain EvoGym.
-        edge_rule: How stiffness acts on shared edges: "mean_factor" or "mean_stiffness".
         render_mode: "rgb_array" (`render` returns a picture), "human" (a window shows every step), or None. EvoGym's
             names for the two are "img" and "screen".
         render_options: Keywords of `Renderer`: width, height, view, legend, hide_background, hide_edges, hide_voxels;
             EvoGym's verbose and hide_grid have no effect.
-        physics: Constants, or those that differ from the benchmark's, by name; the benchmark's by default.
+        options: material, stiffness, edge_rule, physics, num_threads and grid_shape, as all environments take them: see
+            `WorldOptions`.
 
     Raises:
         ValueError: For bad arguments, as `TaskEngine`; in a step for NaN or another number of values.
@@ -73,38 +71,25 @@ class GymnasiumEnv(Described, WorldReadings, gymnasium.Env[np.ndarray, np.ndarra
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array", "human", "img", "screen"], "render_fps": FPS}
 
+    @lists_options
     def __init__(
         self,
         task: str | Task,
         body: BodySpec,
         connections: np.ndarray | None = None,
         *,
-        material: str = "invariant",
-        stiffness: np.ndarray | None = None,
-        edge_rule: str = "mean_factor",
         render_mode: str | None = None,
         render_options: Mapping[str, Any] | None = None,
-        physics: Physics | Mapping[str, float] | None = None,
+        **options: Unpack[WorldOptions],
     ) -> None:
         design = as_body(body) if connections is None else Body(as_body(body).grid, connections)
-        self.render_mode = _check_render_mode(render_mode, self.metadata)
-        engine = TaskEngine(
-            task,
-            design,
-            1,
-            material=material,
-            stiffness=stiffness,
-            edge_rule=edge_rule,
-            physics=_as_physics(physics),
-            num_threads=1,
-            with_voxels=False,
-        )
+        self.render_mode = check_render_mode(render_mode, self.metadata)
+        engine = TaskEngine(task, design, 1, seed=None, with_voxels=False, **options)
         WorldReadings.__init__(self, engine)
         self.observation_space, self.action_space = _single_spaces(self.engine)
         self._grid = ActionGrid(self.engine, self.action_space.shape)
         self._changed = engine.simulator.physics.changed()
-        self._renderer = make_renderer(engine, render_mode, render_options)
-        self._window = Display(engine.task.id, FPS) if render_mode in ("human", "screen") else None
+        self._draw(render_options)
 
     def _observation(self) -> np.ndarray:
         flat = self.engine.flat
@@ -142,17 +127,7 @@ class GymnasiumEnv(Described, WorldReadings, gymnasium.Env[np.ndarray, np.ndarra
         """Returns a picture, uint8 (height, width, 3), where `render_mode` is "rgb_array"; see `Renderer`."""
         if self.render_mode is None:
             gymnasium.logger.warn("render: no render_mode was given to the environment")
-        return self._renderer.frame() if self._renderer and not self._window else None
-
-    def _show(self) -> None:
-        if self._renderer and self._window and not self._window.is_closed:
-            self._window.show(self._renderer.frame())
-
-    def close(self) -> None:
-        """Closes the window, where there is one, and ends the simulator's threads; a later step starts them again."""
-        self.engine.close()
-        if self._window:
-            self._window.close()
+        return super().render()
 
 
 class GymnasiumVectorEnv(Described, PerWorld, VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
@@ -168,13 +143,10 @@ class GymnasiumVectorEnv(Described, PerWorld, VectorEnv[np.ndarray, np.ndarray, 
         autoreset_mode: NEXT_STEP (the step after an end resets), SAME_STEP (ended worlds reset at once; the last
             observation and info are in `info`), or DISABLED (the caller resets with `options={"reset_mask": mask}`).
         max_episode_steps: Env-steps after which an episode is cut; -1: none is. The task's `time_limit` by default.
-        num_threads: Threads; all cores by default.
         render_mode: "rgb_array" or "img" (`render` returns a tuple of pictures, one a world), or None.
-        material: As for `GymnasiumEnv`.
-        stiffness: As for `GymnasiumEnv`.
-        edge_rule: As for `GymnasiumEnv`.
         render_options: As for `GymnasiumEnv`.
-        physics: As for `GymnasiumEnv`.
+        options: material, stiffness, edge_rule, physics, num_threads and grid_shape, as all environments take them: see
+            `WorldOptions`.
     """
 
     metadata: dict[str, Any] = {
@@ -183,6 +155,7 @@ class GymnasiumVectorEnv(Described, PerWorld, VectorEnv[np.ndarray, np.ndarray, 
         "autoreset_mode": AutoresetMode.NEXT_STEP,
     }
 
+    @lists_options
     def __init__(
         self,
         task: str | Task,
@@ -192,15 +165,11 @@ class GymnasiumVectorEnv(Described, PerWorld, VectorEnv[np.ndarray, np.ndarray, 
         *,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         max_episode_steps: int | None = None,
-        num_threads: int | None = None,
-        material: str = "invariant",
-        stiffness: np.ndarray | Sequence[np.ndarray | None] | None = None,
-        edge_rule: str = "mean_factor",
         render_mode: str | None = None,
         render_options: Mapping[str, Any] | None = None,
-        physics: Physics | Mapping[str, float] | None = None,
+        **options: Unpack[WorldOptions],
     ) -> None:
-        self.render_mode = _check_render_mode(render_mode, self.metadata)
+        self.render_mode = check_render_mode(render_mode, self.metadata)
         designs = as_bodies(body)
         if connections is not None:
             designs = [Body(design.grid, connections) for design in designs]
@@ -210,17 +179,7 @@ class GymnasiumVectorEnv(Described, PerWorld, VectorEnv[np.ndarray, np.ndarray, 
             raise ValueError(f"max_episode_steps: got {max_episode_steps}, allowed are 1 and more, or -1 for no limit")
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self.metadata = self.metadata | {"autoreset_mode": self.autoreset_mode}
-        self.engine = TaskEngine(
-            task,
-            designs,
-            num_envs,
-            material=material,
-            stiffness=stiffness,
-            edge_rule=edge_rule,
-            physics=_as_physics(physics),
-            num_threads=num_threads,
-            with_voxels=False,
-        )
+        self.engine = TaskEngine(task, designs, num_envs, seed=None, with_voxels=False, **options)
         self.num_envs = num_envs
         self._limit = self.engine.task.time_limit if max_episode_steps is None else max_episode_steps
         self.single_observation_space, self.single_action_space = _single_spaces(self.engine)
@@ -306,19 +265,3 @@ class GymnasiumVectorEnv(Described, PerWorld, VectorEnv[np.ndarray, np.ndarray, 
     def picture(self, world: int) -> np.ndarray | None:
         """Returns a picture of one world, None where no `render_mode` was given."""
         return None if self._renderer is None else self._renderer.frame(world)
-
-
-def _as_physics(physics: Physics | Mapping[str, float] | None) -> Physics | None:
-    if not isinstance(physics, Mapping):
-        return physics
-    known = [field.name for field in fields(Physics)]
-    unknown = [name for name in physics if name not in known]
-    if unknown:
-        raise ValueError(f"physics: got {unknown}, known are {known}")
-    return Physics(**physics)
-
-
-def _check_render_mode(mode: str | None, metadata: dict[str, Any]) -> str | None:
-    if mode is not None and mode not in metadata["render_modes"]:
-        raise ValueError(f"render_mode: got {mode!r}, allowed are None and {metadata['render_modes']}")
-    return mode

@@ -1,7 +1,7 @@
 """A population as a PettingZoo environment: every body an agent, alone in its own world."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Unpack
 
 import numpy as np
 from gymnasium import spaces
@@ -9,20 +9,22 @@ from pettingzoo import ParallelEnv
 
 from evogymcm._messages import brief, some
 from evogymcm.body import Body
+from evogymcm.envs.adapter import Adapter
 from evogymcm.envs.core import TaskEngine
-from evogymcm.envs.dealing import BodySpec, as_bodies
-from evogymcm.envs.render.display import Display
-from evogymcm.envs.render.renderer import FPS, make_renderer
+from evogymcm.envs.dealing import BodySpec, as_bodies, check_grid_shape
+from evogymcm.envs.options import EngineOptions, complete, lists_options
+from evogymcm.envs.render.rendered import Rendered, check_render_mode
+from evogymcm.envs.render.renderer import FPS, Renderer
 from evogymcm.envs.task import Task
 from evogymcm.envs.voxels import N_FEATURES, N_SIDES, N_TYPES
-from evogymcm.sim.constants import ACTUATION_HIGH, ACTUATION_LOW, STIFFNESS_HIGH, STIFFNESS_LOW, Physics
+from evogymcm.sim.constants import ACTUATION_HIGH, ACTUATION_LOW, STIFFNESS_HIGH, STIFFNESS_LOW
 
 Observation = dict[str, np.ndarray] | np.ndarray
 Action = Mapping[str, np.ndarray] | np.ndarray
 _RANGES = {"actuation": (ACTUATION_LOW, ACTUATION_HIGH), "stiffness": (STIFFNESS_LOW, STIFFNESS_HIGH)}
 
 
-class BodiesParallelEnv(ParallelEnv[str, Observation, Action]):
+class BodiesParallelEnv(Adapter, Rendered, ParallelEnv[str, Observation, Action]):
     """P bodies as agents `body_0` ..., each in its own world of one task.
 
     A body that ends leaves `agents` in that step, and its world is simulated no further; the others go on. Bodies are
@@ -45,17 +47,11 @@ class BodiesParallelEnv(ParallelEnv[str, Observation, Action]):
     Args:
         task: A task or its id.
         bodies: The P bodies.
-        material: "invariant" or "reactive".
-        stiffness: Invariant only: one field in [0.5, 2] for each body; None is 1 everywhere.
-        edge_rule: How stiffness acts on shared edges: "mean_factor" or "mean_stiffness".
-        seed: For tasks with random resets, until `reset` is given another.
-        num_threads: Threads of the simulator; all cores by default.
-        grid_shape: (rows, columns) of the padded grid; by default the smallest that holds every body. A larger one
-            leaves room for later designs.
         render_mode: "rgb_array" (`render` returns a picture of all bodies), "human" (a window at every step) or None.
         render_options: Keywords of `Renderer`: width, height, view, legend.
-        physics: Constants; the benchmark's by default.
         flat: Whether observations and actions are vectors.
+        options: material, stiffness, edge_rule, physics, num_threads, grid_shape and seed, as all environments take
+            them: see `EngineOptions`. The padded grid stays as it is when bodies change.
 
     Attributes:
         np_random: The generator that `seed` makes, for new designs that come without a seed, and for wrappers.
@@ -72,62 +68,35 @@ class BodiesParallelEnv(ParallelEnv[str, Observation, Action]):
         "is_parallelizable": True,
     }
 
+    @lists_options
     def __init__(
         self,
         task: str | Task,
         bodies: BodySpec | Sequence[BodySpec],
         *,
-        material: str = "invariant",
-        stiffness: np.ndarray | Sequence[np.ndarray | None] | None = None,
-        edge_rule: str = "mean_factor",
-        seed: int | None = 0,
-        num_threads: int | None = None,
-        grid_shape: tuple[int, int] | None = None,
         render_mode: str | None = None,
         render_options: Mapping[str, Any] | None = None,
-        physics: Physics | None = None,
         flat: bool = False,
+        **options: Unpack[EngineOptions],
     ) -> None:
-        modes = self.metadata["render_modes"]
-        if render_mode not in (None, *modes):
-            raise ValueError(f"render_mode: got {render_mode!r}, allowed are None and {modes}")
-        self.render_mode = render_mode
+        self.render_mode = check_render_mode(render_mode, self.metadata)
         self.flat = flat
-        self._render_options = dict(render_options or {})
-        self._options: dict[str, Any] = {
-            "material": material,
-            "edge_rule": edge_rule,
-            "num_threads": num_threads,
-            "physics": physics,
-            "with_flat": False,
-        }
-        designs = as_bodies(bodies)
-        smallest = (max(body.rows for body in designs), max(body.cols for body in designs))
-        self.grid_shape = smallest if grid_shape is None else (int(grid_shape[0]), int(grid_shape[1]))
+        self._render_options = render_options
+        designs, seed = as_bodies(bodies), complete(options)["seed"]
+        self._options = options | {"grid_shape": check_grid_shape(options.get("grid_shape"), designs)}
         self.possible_agents = [f"body_{i}" for i in range(len(designs))]
         self.agents: list[str] = []
         self._index = {agent: i for i, agent in enumerate(self.possible_agents)}
-        self.np_random = np.random.default_rng(seed)
-        self._build(task, designs, stiffness, seed)
-        self._heads = ("actuation", "stiffness") if material == "reactive" else ("actuation",)
+        self.np_random = np.random.default_rng(seed if isinstance(seed, int | None) else seed[0])
+        self._build(task, designs)
         self._make_spaces()
-        self._window = Display(self.task.id, FPS) if render_mode == "human" else None
 
-    def _build(self, task: str | Task, designs: Sequence[Body], stiffness: Any, seed: int | None) -> None:
-        """Makes the engine for these designs, and maps the cells of its grid to ours."""
-        self._check_designs(designs)
-        self.engine = TaskEngine(task, designs, stiffness=stiffness, seed=seed, **self._options)
-        rows, columns = self.engine.grid_shape
-        self._cells = (np.arange(rows)[:, None] * self.grid_shape[1] + np.arange(columns)).ravel()
-        self._masks = [self._pad(flags.astype(np.int8)) for flags in (self.engine.occupancy, self.engine.actuators)]
-        self._renderer = make_renderer(self.engine, self.render_mode, self._render_options)
-
-    def _check_designs(self, designs: Sequence[Body]) -> None:
+    def _build(self, task: str | Task, designs: Sequence[Body], **changed: Unpack[EngineOptions]) -> None:
+        """Makes the engine for these designs, and what draws it."""
         if len(designs) != len(self.possible_agents):
             raise ValueError(f"bodies: got {len(designs)}, this environment has {len(self.possible_agents)} agents")
-        for body in designs:
-            if body.rows > self.grid_shape[0] or body.cols > self.grid_shape[1]:
-                raise ValueError(f"bodies: got one of shape {body.shape}, the padded grid is {self.grid_shape}")
+        self.engine = TaskEngine(task, designs, with_flat=False, **(self._options | changed))
+        self._draw(self._render_options)
 
     def _make_spaces(self) -> None:
         n, n_features = self.n_cells, self.engine.features.shape[1]
@@ -154,16 +123,6 @@ class BodiesParallelEnv(ParallelEnv[str, Observation, Action]):
         self.state_space = numbers(self.max_num_agents * (n * N_FEATURES + n_features))
 
     @property
-    def task(self) -> Task:
-        """The task."""
-        return self.engine.task
-
-    @property
-    def bodies(self) -> tuple[Body, ...]:
-        """The present bodies."""
-        return self.engine.bodies
-
-    @property
     def n_cells(self) -> int:
         """V, cells of the padded grid."""
         return self.grid_shape[0] * self.grid_shape[1]
@@ -176,21 +135,9 @@ class BodiesParallelEnv(ParallelEnv[str, Observation, Action]):
         """Returns the agent's action space, always the same object."""
         return self.action_spaces[agent]
 
-    def _pad(self, values: np.ndarray) -> np.ndarray:
-        """Returns (P, cells of the engine, ...) values on our grid, in fresh memory."""
-        padded = np.zeros((len(values), self.n_cells, *values.shape[2:]), values.dtype)
-        padded[:, self._cells] = values
-        return padded
-
     def _observe(self, agents: Sequence[str]) -> dict[str, Observation]:
-        engine, (occupancy, actuators) = self.engine, (mask.copy() for mask in self._masks)
-        parts = {
-            "voxels": self._pad(engine.voxels),
-            "types": self._pad(engine.types),
-            "occupancy": occupancy,
-            "actuators": actuators,
-            "task": engine.features.astype(np.float32),
-        }
+        parts = self.engine.observations()
+        parts |= {key: parts[key].astype(np.int8) for key in ("occupancy", "actuators")}
         if self.flat:
             columns = [parts[key].reshape(self.max_num_agents, -1).astype(np.float32) for key in sorted(parts)]
             rows = np.concatenate(columns, axis=1)
@@ -232,7 +179,7 @@ class BodiesParallelEnv(ParallelEnv[str, Observation, Action]):
         if "bodies" in options or "stiffness" in options:
             designs = as_bodies(options["bodies"]) if "bodies" in options else self.bodies
             number = int(self.np_random.integers(2**31)) if seed is None else seed
-            self._build(self.task, designs, options.get("stiffness"), number)
+            self._build(self.task, designs, stiffness=options.get("stiffness"), seed=number)
         if seed is not None:
             self.engine.set_seed(seed)
         self.engine.reset()
@@ -277,15 +224,15 @@ class BodiesParallelEnv(ParallelEnv[str, Observation, Action]):
         )
 
     def _spread(self, head: str, live: Sequence[str], rows: list[int], actions: Mapping[str, Action]) -> np.ndarray:
-        """Returns one action entry of all worlds on the engine's grid, 1 in the worlds that have ended."""
+        """Returns one action entry of all worlds, 1 in those that have ended."""
         try:
             values = np.array([self._part(actions[agent], head) for agent in live], np.float64)
         except (IndexError, KeyError, TypeError, ValueError):
             values = np.empty(0)
         if values.shape != (len(live), self.n_cells):
             self._blame(head, live, actions)
-        spread = np.ones((self.max_num_agents, len(self._cells)))
-        spread[rows] = values[:, self._cells]
+        spread = np.ones((self.max_num_agents, self.n_cells))
+        spread[rows] = values
         return spread
 
     def _part(self, action: Any, head: str) -> Any:
@@ -318,22 +265,11 @@ class BodiesParallelEnv(ParallelEnv[str, Observation, Action]):
 
     def state(self) -> np.ndarray:
         """Returns what all bodies observe, also those that have ended, as one float32 vector: `voxels`, then `task`."""
-        voxels, task = self._pad(self.engine.voxels), self.engine.features.astype(np.float32)
-        return np.concatenate([voxels.ravel(), task.ravel()])
+        return np.concatenate([self.engine.voxels.ravel(), self.engine.features.astype(np.float32).ravel()])
 
-    def render(self) -> np.ndarray | None:
-        """Returns a picture of all bodies, uint8 (height, width, 3), where `render_mode` is "rgb_array"."""
-        return self._renderer.grid() if self._renderer and not self._window else None
-
-    def _show(self) -> None:
-        if self._renderer and self._window and not self._window.is_closed:
-            self._window.show(self._renderer.grid())
-
-    def close(self) -> None:
-        """Closes the window, where there is one, and ends the simulator's threads; a later step starts them again."""
-        self.engine.close()
-        if self._window:
-            self._window.close()
+    def _picture(self, renderer: Renderer) -> np.ndarray:
+        """Returns a picture of all bodies."""
+        return renderer.grid()
 
 
 parallel_env = BodiesParallelEnv  # PettingZoo's name for what makes one: parallel_env("Walker-v0", bodies)

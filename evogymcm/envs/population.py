@@ -1,7 +1,7 @@
 """A population as agents: the worlds of SoftRobotEnv under groups, TorchRL's form for many agents."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 import torch
@@ -12,18 +12,17 @@ from torchrl.envs.utils import check_marl_grouping
 
 from evogymcm._messages import brief
 from evogymcm.body import Body
-from evogymcm.envs.core import TaskEngine
+from evogymcm.envs.adapter import Adapter
 from evogymcm.envs.dealing import BodySpec, as_bodies
-from evogymcm.envs.render.renderer import Renderer
+from evogymcm.envs.options import EngineOptions, lists_options
 from evogymcm.envs.streams import BodySource, is_source
 from evogymcm.envs.task import Task
 from evogymcm.envs.torchrl import SoftRobotEnv, check_action
-from evogymcm.sim.constants import Physics
 
 GROUP = "bodies"
 
 
-class PopulationEnv(EnvBase):
+class PopulationEnv(Adapter, EnvBase):
     """P bodies as agents of one environment, each in its own world: same keys as `SoftRobotEnv`, under a group.
 
     `("bodies", "voxels")` is [P, V, F], `("bodies", "action", "actuation")` [P, V], `("bodies", "reward")` [P, 1]. Done
@@ -40,18 +39,12 @@ class PopulationEnv(EnvBase):
         task: A task or its id.
         bodies: The P bodies, or a stream of them, see `TaskEngine`.
         copies: C copies of the whole population, batch size [C] and shapes [C, P, ...]; None for one, batch size [].
-        material: "invariant" or "reactive".
-        stiffness: Invariant only: one field for each body; None is 1 everywhere.
-        edge_rule: How stiffness acts on shared edges: "mean_factor" or "mean_stiffness".
-        seed: For tasks with random resets and for streams.
-        num_threads: Threads of the simulator; all cores by default.
         device: Where tensors go; the simulator runs on the CPU.
-        physics: Constants; the benchmark's by default.
         group_map: Which agents (`body_0` ...) form which group, or one of TorchRL's ready maps. By default all are in
             the one group `bodies`.
-        grid_shape: (rows, columns) of the padded grid; the smallest that holds all bodies by default. Needed under a
-            stream.
         num_bodies: P; needed under a stream.
+        options: material, stiffness, edge_rule, physics, num_threads, grid_shape and seed, as all environments take
+            them: see `EngineOptions`.
 
     Attributes:
         worlds: The `SoftRobotEnv` of all C * P worlds; world c * P + p is body p of copy c.
@@ -65,22 +58,17 @@ class PopulationEnv(EnvBase):
     _has_frame_skip = True  # 30 substeps an env-step are ours, not a transform's
     worlds: SoftRobotEnv
 
+    @lists_options
     def __init__(
         self,
         task: str | Task,
         bodies: BodySpec | Sequence[BodySpec] | BodySource,
         copies: int | None = None,
         *,
-        material: str = "invariant",
-        stiffness: np.ndarray | Sequence[np.ndarray | None] | None = None,
-        edge_rule: str = "mean_factor",
-        seed: int | None = 0,
-        num_threads: int | None = None,
         device: torch.device | str | None = None,
-        physics: Physics | None = None,
         group_map: MarlGroupMapType | Mapping[str, Sequence[str]] | None = None,
-        grid_shape: tuple[int, int] | None = None,
         num_bodies: int | None = None,
+        **options: Unpack[EngineOptions],
     ) -> None:
         designs = bodies if is_source(bodies) else as_bodies(bodies)
         number = len(designs) if isinstance(designs, list) else num_bodies
@@ -92,18 +80,8 @@ class PopulationEnv(EnvBase):
         super().__init__(device=device, batch_size=[] if copies is None else [copies])
         self.agent_names = [f"body_{i}" for i in range(number)]
         self.group_map = self._make_groups(group_map)
-        worlds = SoftRobotEnv(
-            task,
-            designs,
-            number * (copies or 1),
-            material=material,
-            stiffness=stiffness,
-            edge_rule=edge_rule,
-            seed=seed,
-            num_threads=num_threads,
-            physics=physics,
-            grid_shape=grid_shape,
-        )
+        worlds = SoftRobotEnv(task, designs, number * (copies or 1), **options)
+        self.engine = worlds.engine
         object.__setattr__(self, "worlds", worlds)  # no submodule: its state is saved as ours, once
         order = {name: i for i, name in enumerate(self.agent_names)}
         self._members = {group: [order[name] for name in names] for group, names in self.group_map.items()}
@@ -111,7 +89,6 @@ class PopulationEnv(EnvBase):
         ungrouped = [member for members in self._members.values() for member in members]
         self._places = torch.tensor(ungrouped).argsort()  # of each body among the groups put side by side
         self._make_specs()
-        self._renderer: Renderer | None = None
 
     def _make_groups(self, given: MarlGroupMapType | Mapping[str, Sequence[str]] | None) -> dict[str, list[str]]:
         if given is None:
@@ -148,26 +125,6 @@ class PopulationEnv(EnvBase):
     def bodies(self) -> tuple[Body, ...]:
         """The P bodies; under a stream the present ones, of the first copy."""
         return self.worlds.bodies[: self.num_bodies]
-
-    @property
-    def task(self) -> Task:
-        """The task."""
-        return self.worlds.task
-
-    @property
-    def engine(self) -> TaskEngine:
-        """The task engine of all worlds."""
-        return self.worlds.engine
-
-    @property
-    def grid_shape(self) -> tuple[int, int]:
-        """(rows, columns) of the padded grid."""
-        return self.worlds.grid_shape
-
-    @property
-    def voxel_features(self) -> int:
-        """F, the number of features of a voxel."""
-        return self.worlds.voxel_features
 
     @property
     def score_ceiling(self) -> np.ndarray:
@@ -208,13 +165,12 @@ class PopulationEnv(EnvBase):
         return TensorDict({"_reset": self._ungroup(parts)}, batch_size=self.worlds.batch_size)
 
     def _step(self, tensordict: TensorDictBase) -> TensorDict:
-        heads = ("actuation", "stiffness") if self.engine.material == "reactive" else ("actuation",)
         actions = []
         for group, names in self.group_map.items():
             shape = (*self.batch_size, len(names))
             given = tensordict.get((group, "action"), None)
-            parts = check_action(given, (group, "action"), heads, (*shape, self.engine.occupancy.shape[1]))
-            actions.append(TensorDict({"action": dict(zip(heads, parts, strict=True))}, batch_size=shape))
+            parts = check_action(given, (group, "action"), self._heads, (*shape, self.engine.occupancy.shape[1]))
+            actions.append(TensorDict({"action": dict(zip(self._heads, parts, strict=True))}, batch_size=shape))
         return self._group(self.worlds._step(self._ungroup(actions)))
 
     def render(self, width: int = 640, height: int = 320, view: str = "types") -> torch.Tensor:
@@ -222,9 +178,7 @@ class PopulationEnv(EnvBase):
 
         Videos: `Compose(PixelRenderTransform(width=640, height=320), VideoRecorder(logger, tag))`.
         """
-        renderer = self._renderer
-        if renderer is None or (renderer.width, renderer.height, renderer.view) != (width, height, view):
-            renderer = self._renderer = Renderer(self.engine, width, height, view)
+        renderer = self.worlds._renderer_of(width, height, view)
         worlds = np.arange(self.engine.num_worlds).reshape(-1, self.num_bodies)
         pictures = torch.from_numpy(np.stack([renderer.grid(row.tolist()) for row in worlds])).to(self.device)
         return pictures if self.batch_size else pictures[0]

@@ -70,7 +70,7 @@ class Task:
 
     Attributes:
         id: Name, as in EvoGym.
-        world: Its world, or the name of one of `evogymcm.sim.world.world_names()`.
+        world: Its world, or the name of one of `evogymcm.sim.world_names()`.
         spawn: World cell of the lower-left cell of the body array.
         time_limit: Env-steps after which an episode is cut.
         observes: Parts of the flat observation, in order, by their names in `observation_parts`. Those of a watched
@@ -80,6 +80,7 @@ class Task:
         reads_hull: Whether the reward needs the hull's area.
         watches: Objects other than the robot that the task reads.
         moves_at_reset: Objects that each episode places anew, by the "offset" (2 voxels) that `draw` returns.
+        about: What it asks for, in a few words, for tables of tasks.
     """
 
     id: str
@@ -92,6 +93,7 @@ class Task:
     reads_hull: bool = False
     watches: tuple[str, ...] = ()
     moves_at_reset: tuple[str, ...] = ()
+    about: str = field(default="", kw_only=True)
 
     def draw(self, rng: np.random.Generator) -> dict[str, np.ndarray]:
         """Returns what an episode of one world draws at random: arrays that become rows of `Snapshot.memory`."""

@@ -1,7 +1,7 @@
 """SoftRobotEnv: the task engine as a batched TorchRL environment."""
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 import torch
@@ -10,16 +10,18 @@ from torchrl.data import Bounded, Categorical, Composite, Unbounded
 from torchrl.envs import EnvBase
 
 from evogymcm._messages import brief, some
+from evogymcm.envs.adapter import Adapter
 from evogymcm.envs.core import TaskEngine
 from evogymcm.envs.dealing import BodySpec
+from evogymcm.envs.options import EngineOptions, complete, lists_options
 from evogymcm.envs.render.renderer import Renderer
 from evogymcm.envs.streams import BodySource
 from evogymcm.envs.task import Task
 from evogymcm.envs.voxels import N_FEATURES, N_SIDES, N_TYPES
-from evogymcm.sim.constants import ACTUATION_HIGH, ACTUATION_LOW, STIFFNESS_HIGH, STIFFNESS_LOW, Physics
+from evogymcm.sim.constants import ACTUATION_HIGH, ACTUATION_LOW, STIFFNESS_HIGH, STIFFNESS_LOW
 
 
-class SoftRobotEnv(EnvBase):
+class SoftRobotEnv(Adapter, EnvBase):
     """N worlds of one task as one batched environment, for any mix of bodies.
 
     TorchRL, and so the import of this class, makes "spawn" the start method of the process where none was set before.
@@ -46,15 +48,9 @@ class SoftRobotEnv(EnvBase):
         bodies: A body or a list of bodies; dealt to the worlds in turn. Or a stream, of which a world gets the next
             body at each reset: `draw(rng)` or an iterator, see `TaskEngine`.
         num_worlds: N; as many as bodies by default, 1 under a stream.
-        material: "invariant" or "reactive".
-        stiffness: Invariant only: a field in [0.5, 2] of the body's shape, or one for each body; None is 1 everywhere.
-        edge_rule: How stiffness acts on shared edges: "mean_factor" or "mean_stiffness".
-        seed: For tasks with random resets and for streams.
-        num_threads: Threads of the simulator; all cores by default.
         device: Where tensors go; the simulator runs on the CPU.
-        physics: Constants; the benchmark's by default.
-        grid_shape: (rows, columns) of the padded grid; the smallest that holds all bodies by default. Needed under a
-            stream.
+        options: material, stiffness, edge_rule, physics, num_threads, grid_shape and seed, as all environments take
+            them: see `EngineOptions`.
 
     Raises:
         ValueError: For bad arguments, as `TaskEngine`; in a step for an action that is not made of these keys, or has
@@ -63,38 +59,22 @@ class SoftRobotEnv(EnvBase):
 
     _has_frame_skip = True  # 30 substeps an env-step are ours, not a transform's
 
+    @lists_options
     def __init__(
         self,
         task: str | Task,
         bodies: BodySpec | Sequence[BodySpec] | BodySource,
         num_worlds: int | None = None,
         *,
-        material: str = "invariant",
-        stiffness: np.ndarray | Sequence[np.ndarray | None] | None = None,
-        edge_rule: str = "mean_factor",
-        seed: int | None = 0,
-        num_threads: int | None = None,
         device: torch.device | str | None = None,
-        physics: Physics | None = None,
-        grid_shape: tuple[int, int] | None = None,
+        **options: Unpack[EngineOptions],
     ) -> None:
-        engine = TaskEngine(
-            task,
-            bodies,
-            num_worlds,
-            material=material,
-            stiffness=stiffness,
-            edge_rule=edge_rule,
-            physics=physics,
-            num_threads=num_threads,
-            seed=seed,
-            grid_shape=grid_shape,
-        )
+        engine = TaskEngine(task, bodies, num_worlds, **options)
         super().__init__(device=device, batch_size=[engine.num_worlds])
         self.engine = engine
         self._renderer: Renderer | None = None
         self._make_specs()
-        self.set_seed(seed)
+        engine.set_seed(complete(options)["seed"])  # the first reset begins with it too
 
     def _make_specs(self) -> None:
         n, v = self.engine.occupancy.shape
@@ -128,60 +108,16 @@ class SoftRobotEnv(EnvBase):
         self.reward_spec = numbers(1)
         self.done_spec = Composite(done=flags(1), terminated=flags(1), truncated=flags(1), shape=[n])
 
-    @property
-    def task(self) -> Task:
-        """The task."""
-        return self.engine.task
-
-    @property
-    def bodies(self) -> tuple[Any, ...]:
-        """The body of each world."""
-        return self.engine.bodies
-
-    @property
-    def num_designs(self) -> int:
-        """How many bodies were given; world w holds number w modulo this. N under a stream."""
-        return self.engine.num_designs
-
-    @property
-    def changes_bodies(self) -> bool:
-        """Whether bodies come from a stream: worlds get another one when they are reset."""
-        return self.engine.changes_bodies
-
-    @property
-    def grid_shape(self) -> tuple[int, int]:
-        """(rows, columns) of the padded grid."""
-        return self.engine.grid_shape
-
-    @property
-    def voxel_features(self) -> int:
-        """F, the number of features of a voxel."""
-        return N_FEATURES
-
-    @property
-    def score_ceiling(self) -> np.ndarray:
-        """(N,) the largest possible scores, NaN where they are not known."""
-        return self.engine.score_ceiling
-
     def _observations(self) -> dict[str, np.ndarray]:
-        """Returns the observations in fresh memory: the engine makes new voxels in every step."""
+        """Returns the observations in fresh memory."""
         engine = self.engine
-        values: dict[str, np.ndarray] = {
-            "voxels": engine.voxels,
-            "types": engine.types.copy(),
-            "occupancy": engine.occupancy.copy(),
-            "actuators": engine.actuators.copy(),
-            "task": engine.features.astype(np.float32),
+        return engine.observations() | {
             "com": engine.com,
             "score": engine.score[:, None].copy(),
             "return": engine.returns[:, None].copy(),
             "unstable": engine.unstable[:, None].copy(),
             "reached": engine.reached[:, None].copy(),
         }
-        flat = engine.flat
-        if flat is not None:
-            values["observation"] = flat
-        return values
 
     def _pack(self, values: dict[str, np.ndarray]) -> TensorDict:
         """Returns arrays as a TensorDict, without its checks of each entry, which take ten times as long.
@@ -201,8 +137,7 @@ class SoftRobotEnv(EnvBase):
 
     def _step(self, tensordict: TensorDictBase) -> TensorDict:
         engine = self.engine
-        heads = ("actuation", "stiffness") if engine.material == "reactive" else ("actuation",)
-        given = check_action(tensordict.get("action", None), ("action",), heads, engine.occupancy.shape)
+        given = check_action(tensordict.get("action", None), ("action",), self._heads, engine.occupancy.shape)
         engine.step(*(values.detach().cpu().numpy() for values in given))
         values = self._observations()
         values["reward"] = engine.reward[:, None].astype(np.float32)
@@ -222,11 +157,16 @@ class SoftRobotEnv(EnvBase):
 
         Videos: `Compose(PixelRenderTransform(width=160, height=80), VideoRecorder(logger, tag))`.
         """
+        renderer = self._renderer_of(width, height, view)
+        pictures = np.stack([renderer.frame(world) for world in range(self.engine.num_worlds)])
+        return torch.from_numpy(pictures).to(self.device)
+
+    def _renderer_of(self, width: int, height: int, view: str) -> Renderer:
+        """Returns what draws such pictures, the same one as long as no others are asked for: its cameras follow."""
         renderer = self._renderer
         if renderer is None or (renderer.width, renderer.height, renderer.view) != (width, height, view):
             renderer = self._renderer = Renderer(self.engine, width, height, view)
-        pictures = np.stack([renderer.frame(world) for world in range(self.engine.num_worlds)])
-        return torch.from_numpy(pictures).to(self.device)
+        return renderer
 
     def _set_seed(self, seed: int | None) -> None:
         self.engine.set_seed(seed)

@@ -10,7 +10,7 @@ row and column, from -1 to 1). Cells without a voxel hold zeros.
 
 import numpy as np
 
-from evogymcm.body import H_ACT, V_ACT, Body
+from evogymcm.body import H_ACT, V_ACT
 from evogymcm.sim._jit import kernel
 from evogymcm.sim.readings import ACTUATION as ACTUATION
 from evogymcm.sim.readings import N_FEATURES as N_FEATURES
@@ -18,7 +18,6 @@ from evogymcm.sim.readings import PLACE as PLACE
 from evogymcm.sim.readings import POSITIONS as POSITIONS
 from evogymcm.sim.readings import STIFFNESS as STIFFNESS
 from evogymcm.sim.readings import VELOCITIES as VELOCITIES
-from evogymcm.sim.topology import Topology
 
 N_TYPES = 5  # codes of a body's grid, empty included
 # Rows and columns to the neighbours above, right, below, left, in the order of a voxel's sides.
@@ -27,7 +26,7 @@ N_SIDES = 1 + len(_STEPS)
 
 
 @kernel
-def _fill(
+def describe(
     grid: np.ndarray,
     cells: np.ndarray,
     is_surface_side: np.ndarray,
@@ -37,7 +36,18 @@ def _fill(
     types: np.ndarray,
     template: np.ndarray,
 ) -> None:
-    """Fills in what `describe` sets, for a padded grid of so many columns."""
+    """Sets what is known of a body beforehand; cells without a voxel get zeros.
+
+    Args:
+        grid: (rows, columns) the codes of the body, in the upper left corner of the padded grid.
+        cells: (voxels, 2) row and column of each voxel, see `Topology`.
+        is_surface_side: (voxels, 4) bool, which sides touch no other voxel, see `Topology`.
+        columns: Of the padded grid, V cells.
+        occupancy: (V,) bool.
+        actuators: (V,) bool.
+        types: (V, N_SIDES) uint8, the type codes of voxels and of their connected neighbours.
+        template: (V, N_FEATURES) float32, the features that stay the same.
+    """
     occupancy[:], actuators[:], types[:], template[:] = False, False, 0, 0.0
     rows, own_columns = grid.shape
     for voxel in range(cells.shape[0]):
@@ -50,26 +60,3 @@ def _fill(
                 types[at, 1 + side] = grid[row + _STEPS[side][0], column + _STEPS[side][1]]
         template[at, PLACE] = 2 * row / max(rows - 1, 1) - (rows > 1)
         template[at, PLACE + 1] = 2 * column / max(own_columns - 1, 1) - (own_columns > 1)
-
-
-def describe(
-    body: Body,
-    topology: Topology,
-    columns: int,
-    occupancy: np.ndarray,
-    actuators: np.ndarray,
-    types: np.ndarray,
-    template: np.ndarray,
-) -> None:
-    """Sets what is known of a body beforehand; cells without a voxel get zeros.
-
-    Args:
-        body: The body, in the upper left corner of the padded grid.
-        topology: Its topology.
-        columns: Of the padded grid, V cells.
-        occupancy: (V,) bool.
-        actuators: (V,) bool.
-        types: (V, N_SIDES) uint8, the type codes of voxels and of their connected neighbours.
-        template: (V, N_FEATURES) float32, the features that stay the same.
-    """
-    _fill(body.grid, topology.cells, topology.is_surface_side, columns, occupancy, actuators, types, template)

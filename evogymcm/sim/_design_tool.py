@@ -4,7 +4,10 @@ There an object's cells are flat indices into the world, y * width + x with y up
 both ends. Here they are a cropped grid, first row on top, and pairs of flat indices into it.
 """
 
+import json
+import os
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,6 +16,32 @@ from evogymcm._grid import CELL_CHARS, Connections, Grid, check_grid, full_conne
 from evogymcm._messages import brief, some
 
 MOST_CELLS = 10_000_000  # of a world; files with stray indices would otherwise fill the memory
+
+
+def read_content(source: str | os.PathLike[str] | Mapping[str, Any]) -> tuple[str, Mapping[str, Any]]:
+    """Returns what a world is called in messages, and its content, which has a width and objects by name.
+
+    Args:
+        source: The JSON file's path or its parsed content.
+
+    Raises:
+        ValueError: It is not JSON, or something is missing or of another kind.
+    """
+    what, content = "Design Tool world", source
+    if not isinstance(source, Mapping):
+        what = f"{what} {Path(source).name}"
+        try:
+            content = json.loads(Path(source).read_text(encoding="utf-8"))
+        except ValueError as error:
+            raise ValueError(f"{what}: it is not JSON ({error})") from error
+    if not isinstance(content, Mapping) or not {"grid_width", "objects"} <= set(content):
+        raise ValueError(f"{what}: needs grid_width and objects, got {brief(content)}")
+    size = [content["grid_width"], content.get("grid_height", 0)]
+    if not all(isinstance(cells, int) for cells in size) or size[0] < 1:
+        raise ValueError(f"{what}: got grid_width and grid_height {brief(size)}, expected whole numbers")
+    if not isinstance(content["objects"], Mapping):
+        raise ValueError(f"{what}: objects must be given by name, got {brief(content['objects'])}")
+    return what, content
 
 
 def read_object(entry: Any, width: int) -> tuple[Grid, tuple[int, int], Connections | None]:

@@ -75,8 +75,8 @@ class Simulator(Worlds):
             offsets = self._rows("offsets", offsets, 2)
         for world in self._chosen(mask):
             if offsets is not None:
-                self._offsets[world] = offsets[world]
                 self._set_objects(int(world), self._moved(int(world), offsets[world]))
+                self._offsets[world] = offsets[world]
             self._put_back(world)
 
     def set_stiffness(self, stiffness: np.ndarray, mask: np.ndarray | None = None) -> None:

@@ -1,8 +1,6 @@
 """Worlds: named objects on a grid of cells, read from pictures or from the EvoGym Design Tool's JSON."""
 
-import json
 import os
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -19,18 +17,15 @@ from evogymcm._grid import (
     check_connections,
     check_grid,
     full_connections,
-    grid_from_rows,
     grid_rows,
     has_actuator,
 )
-from evogymcm._messages import brief, known, some
-from evogymcm.sim._design_tool import MOST_CELLS, read_object, write_object
+from evogymcm._messages import brief, some
+from evogymcm.sim._design_tool import MOST_CELLS, read_content, read_object, write_object
+from evogymcm.sim._pictures import load_picture, read_picture
 
-WORLD_DIR = Path(__file__).parent / "worlds"
-PREFAB_DIR = WORLD_DIR / "prefabs"
 FILE_SUFFIXES = (".json", ".txt")
 ROBOT = "robot"  # the name of the object that is simulated first
-_HEADER = re.compile(r"(?P<name>.+) at (?P<x>-?\d+) (?P<y>-?\d+)(?: is (?P<prefab>\S+))?$")
 
 
 @dataclass(frozen=True, eq=False)
@@ -193,7 +188,7 @@ class World:
             ValueError: There is none, or it cannot be read.
         """
         if not is_world_file(source):
-            return cls.from_picture(_read(WORLD_DIR, str(source)))
+            return cls.from_picture(load_picture(str(source)))
         path = Path(source)
         if path.suffix.lower() not in FILE_SUFFIXES or not path.is_file():
             raise ValueError(f"world {brief(path.name)}: there is no such file that ends with .json or .txt")
@@ -227,20 +222,8 @@ class World:
         Raises:
             ValueError: A header or a row cannot be read, or the objects do not fit together.
         """
-        size = None
-        blocks: list[tuple[str, list[str]]] = []
-        for line in (raw.strip() for raw in text.splitlines()):
-            if line.startswith("size "):
-                size = _read_size(line)
-            elif line.startswith("object "):
-                blocks.append((line.removeprefix("object "), []))
-            elif line and not line.startswith("#"):
-                if not blocks:
-                    blocks.append((f"{name} at 0 0", []))
-                blocks[-1][1].append(line)
-        if not blocks:
-            raise ValueError("picture: it has no cells")
-        objects = tuple(_read_block(header, rows) for header, rows in blocks)
+        size, parts = read_picture(text, name)
+        objects = tuple(WorldObject(*part) for part in parts)
         if size is None:
             size = max(obj.end[0] for obj in objects), max(obj.end[1] for obj in objects)
         return cls(*size, objects)
@@ -273,27 +256,15 @@ class World:
         Raises:
             ValueError: Something is missing, indices or types are out of range, or the objects do not fit together.
         """
-        what, content = "Design Tool world", source
-        if not isinstance(source, Mapping):
-            what = f"{what} {Path(source).name}"
-            try:
-                content = json.loads(Path(source).read_text(encoding="utf-8"))
-            except ValueError as error:
-                raise ValueError(f"{what}: it is not JSON ({error})") from error
-        if not isinstance(content, Mapping) or not {"grid_width", "objects"} <= set(content):
-            raise ValueError(f"{what}: needs grid_width and objects, got {brief(content)}")
-        size = [content["grid_width"], content.get("grid_height", 0)]
-        if not all(isinstance(cells, int) for cells in size) or size[0] < 1:
-            raise ValueError(f"{what}: got grid_width and grid_height {brief(size)}, expected whole numbers")
-        if not isinstance(content["objects"], Mapping):
-            raise ValueError(f"{what}: objects must be given by name, got {brief(content['objects'])}")
+        what, content = read_content(source)
+        width, height = content["grid_width"], content.get("grid_height", 0)
         objects = []
         for name, entry in content["objects"].items():
             try:
-                objects.append(WorldObject(name, *read_object(entry, size[0])))
+                objects.append(WorldObject(name, *read_object(entry, width)))
             except ValueError as error:
                 raise ValueError(f"{what}, object {brief(name)}: {error}") from error
-        return cls(size[0], max([1, size[1], *(obj.end[1] for obj in objects)]), tuple(objects))
+        return cls(width, max([1, height, *(obj.end[1] for obj in objects)]), tuple(objects))
 
     def to_design_tool(self) -> dict[str, Any]:
         """Returns the content of a Design Tool JSON file for this world."""
@@ -304,53 +275,3 @@ class World:
 def is_world_file(source: object) -> "TypeGuard[str | os.PathLike[str]]":
     """Returns whether something is the path of a world's file, not a name: a path object, or a text with its suffix."""
     return isinstance(source, os.PathLike) or (isinstance(source, str) and source.lower().endswith(FILE_SUFFIXES))
-
-
-def world_names() -> tuple[str, ...]:
-    """Returns the names of the worlds that come with the package."""
-    return _names(WORLD_DIR)
-
-
-def prefab_names() -> tuple[str, ...]:
-    """Returns the names of the prefabs: objects without a place."""
-    return _names(PREFAB_DIR)
-
-
-def load_prefab(name: str) -> Grid:
-    """Returns the cells of a prefab, int8 of shape (rows, cols).
-
-    Raises:
-        ValueError: There is none of that name.
-    """
-    return grid_from_rows(_read(PREFAB_DIR, name).split())
-
-
-def _names(folder: Path) -> tuple[str, ...]:
-    return tuple(sorted(path.stem for path in folder.glob("*.txt")))
-
-
-def _read(folder: Path, name: str) -> str:
-    """Returns the text of a file of package data."""
-    if name not in _names(folder):
-        raise ValueError(f"{brief(name)}: there is only {known(name, _names(folder))}")
-    return (folder / f"{name}.txt").read_text(encoding="utf-8")
-
-
-def _read_size(line: str) -> tuple[int, int]:
-    """Returns the width and height in a line "size WIDTH HEIGHT"."""
-    match = re.fullmatch(r"size (\d+) (\d+)", line)
-    if match is None:
-        raise ValueError(f"picture: got the line {brief(line)}, expected 'size WIDTH HEIGHT'")
-    return int(match[1]), int(match[2])
-
-
-def _read_block(header: str, rows: list[str]) -> WorldObject:
-    """Returns the object of a header "NAME at X Y" with rows, or "NAME at X Y is PREFAB" without."""
-    match = _HEADER.fullmatch(header)
-    if match is None or bool(match["prefab"]) == bool(rows):
-        raise ValueError(
-            f"picture: got the header {brief('object ' + header)} with {len(rows)} rows, "
-            "expected 'object NAME at X Y' and rows, or 'object NAME at X Y is PREFAB' and none"
-        )
-    grid = load_prefab(match["prefab"]) if match["prefab"] else grid_from_rows(rows)
-    return WorldObject(match["name"], grid, (int(match["x"]), int(match["y"])))

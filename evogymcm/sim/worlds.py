@@ -225,19 +225,21 @@ class Worlds:
         Raises:
             ValueError: It is another simulator's, or of a release that kept states otherwise; then nothing has changed.
         """
-        offsets, *rows = state or [np.zeros(0)]
-        objects: dict[int, Objects] = {}
-        if np.shape(offsets) == self._offsets.shape and len(rows) == self.n_worlds:
-            objects = {world: self._moved(world, offset) for world, offset in enumerate(np.asarray(offsets))}
-        if robots is not None:
-            objects = {world: (robots[world], *others) for world, (_, *others) in objects.items()}
-        designs = {world: self._designs.take(each) for world, each in objects.items()}
-        sizes = [self._designs.scenes[number].n_numbers for number, _ in designs.values()]
-        if not objects or [np.size(row) for row in rows] != sizes:
+        offsets, *rows = [np.asarray(part, np.float64) for part in state] or [np.zeros(0)]
+        fits = offsets.shape == self._offsets.shape and len(rows) == self.n_worlds
+        changed: dict[int, Objects] = {}
+        for world in range(self.n_worlds if fits else 0):
+            robot, *others = self._moved(world, offsets[world])
+            objects = (robot if robots is None else robots[world], *others)
+            if objects != self._worlds[world]:
+                changed[world] = objects
+        designs = {world: self._designs.take(objects) for world, objects in changed.items()}
+        numbers = [int(designs.get(world, self._design_of[world])[0]) for world in range(self.n_worlds)]
+        if not fits or [row.shape for row in rows] != [(self._designs.scenes[n].n_numbers,) for n in numbers]:
             for number, _ in designs.values():
                 self._designs.give_back(number)
             raise ValueError(f"state: it is not of {self.n_worlds} such worlds, or of a release that kept it otherwise")
-        self._put_in(objects, designs)
+        self._put_in(changed, designs)
         self._offsets[:] = offsets
         for world, row in enumerate(rows):
             self._state[world, : len(row)] = row

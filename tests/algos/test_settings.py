@@ -10,10 +10,8 @@ import pytest
 
 from evogymcm.algos import BodyPPOConfig, PPOConfig, RunFolder
 from evogymcm.algos.codesign import (
-    Arena,
     CodesignConfig,
     GeneticAlgorithm,
-    RandomSearch,
     SearchConfig,
     codesign,
     codesign_all,
@@ -21,10 +19,10 @@ from evogymcm.algos.codesign import (
 )
 
 CONFIGS = (PPOConfig(), BodyPPOConfig(), SearchConfig(), CodesignConfig())
-TEXTS = {"network", "context", "sharing", "acceptance", "noise", "proposal", "task", "arm", "method", "edge_rule"}
+TEXTS = {"network", "context", "sharing", "acceptance", "noise", "proposal", "task", "material", "method", "edge_rule"}
 FLAGS = {"decay_learning_rate", "inherit"}
 GROUPS = {"schedule", "shape", "weights", "rungs", "keep", "search", "ppo"}
-OPTIONAL = {"hidden", "eval_worlds", "max_env_steps", "inherit_std", "finetune_steps", "num_threads"}
+OPTIONAL = {"hidden", "eval_worlds", "search", "max_env_steps", "inherit_std", "finetune_steps", "num_threads"}
 
 
 @pytest.mark.parametrize("config", CONFIGS, ids=lambda config: type(config).__name__)
@@ -62,7 +60,15 @@ def test_every_field_refuses_what_is_of_another_kind(config):
         ({"rungs": (0.5, 0.25), "keep": (0.5, 0.5)}, "rungs: got"),
         ({"rungs": (0.5,), "keep": (0.0,)}, "keep: got"),
         ({"rungs": 0.5, "keep": 0.5}, "rungs: got 0.5, expected a sequence of numbers"),
-        ({"prescribed": 0.4}, "prescribed: got 0.4, expected a finite number at least 0.5 and at most 2"),
+        ({"stiffness": 0.4}, "stiffness: got 0.4, expected a finite number at least 0.5 and at most 2"),
+        ({"stiffness": 1.5}, "stiffness: got 1.5, policies set stiffness; needs material 'invariant'"),
+        ({"search": SearchConfig()}, "search: got SearchConfig.*, policies set stiffness; needs material 'invariant'"),
+        ({"material": "invariant", "search": SearchConfig(), "stiffness": 1.5}, "stiffness: got 1.5, a search begins"),
+        ({"material": "active"}, "material: got 'active', allowed are invariant, reactive"),
+        ({"method": "bo"}, "method: got 'bo', allowed are ga, random, qd"),
+        ({"rungs": (0.5,), "keep": ()}, "keep: got"),
+        ({"max_env_steps": 0}, "max_env_steps: got 0"),
+        ({"ppo": BodyPPOConfig(network="mlp")}, "ppo.network: got 'mlp'"),
         ({"edge_rule": "mean"}, "edge_rule: got 'mean', allowed are mean_factor, mean_stiffness"),
         ({"age_protection": 1, "method": "random"}, "age_protection: got 1, method 'random' has none"),
         ({"ppo": PPOConfig(total_steps=50_000)}, "ppo: got a PPOConfig, expected a BodyPPOConfig"),
@@ -95,13 +101,33 @@ def test_bad_settings_of_the_material_search_are_refused(changes, message):
         SearchConfig(**changes)
 
 
-def test_missing_packages_are_named_before_any_work(monkeypatch):
+def test_missing_packages_are_named_before_any_work(monkeypatch, tmp_path):
     monkeypatch.setitem(sys.modules, "cma", None)
-    with pytest.raises(ImportError, match=r"evogymcm\[cma\]"):
-        SearchConfig(proposal="cma", candidates=4)
     monkeypatch.setitem(sys.modules, "ribs.archives", None)
-    with pytest.raises(ImportError, match=r"evogymcm\[qd\]"):
-        CodesignConfig(method="qd")
+    search = SearchConfig(proposal="cma", candidates=4)
+    for config in (CodesignConfig(material="invariant", search=search), CodesignConfig(method="qd")):
+        with pytest.raises(ImportError, match=r"evogymcm\[(cma|qd)\]"):
+            codesign(config)
+        with pytest.raises(ImportError, match=r"evogymcm\[(cma|qd)\]"):
+            list(codesign_all({"one": config}, tmp_path, Untouched()))
+
+
+def test_arms_are_still_taken_with_a_word_on_what_to_write():
+    search = SearchConfig(rounds=3)
+    for old, new in (
+        ({"arm": "reactive", "search": search}, CodesignConfig()),
+        ({"arm": "fixed", "prescribed": 1.5}, CodesignConfig(material="invariant")),
+        ({"arm": "prescribed", "prescribed": 1.5}, CodesignConfig(material="invariant", stiffness=1.5)),
+        ({"arm": "invariant"}, CodesignConfig(material="invariant", search=SearchConfig())),
+        ({"arm": "invariant", "search": search}, CodesignConfig(material="invariant", search=search)),
+    ):
+        said = f"arm='{old['arm']}' .* write material='{new.material}', stiffness="
+        with pytest.warns(DeprecationWarning, match=said):
+            assert CodesignConfig(**old) == new
+        with pytest.warns(DeprecationWarning, match=said):
+            assert replace(new, **old) == new
+    with pytest.raises(ValueError, match="arm: got 'active', allowed are reactive"):
+        CodesignConfig(arm="active")
 
 
 def test_numbers_of_numpy_are_taken_and_saved(tmp_path):
@@ -112,7 +138,7 @@ def test_numbers_of_numpy_are_taken_and_saved(tmp_path):
     RunFolder(tmp_path / "run", asdict(config))
     saved = json.loads((tmp_path / "run" / "config.json").read_text())
     assert (saved["shape"], saved["seed"], saved["ppo"]["total_steps"]) == ([3, 4], 7, 1_000_000)
-    assert type(GeneticAlgorithm((2, 3), np.int64(3), 6, seed=np.int64(1)).settings["population"]) is int
+    assert type(GeneticAlgorithm((2, 3), 6, np.int64(3), seed=np.int64(1)).settings["population"]) is int
 
 
 class Untouched(Executor):
@@ -141,19 +167,3 @@ def test_a_run_that_cannot_start_is_refused_before_any_work(changes, message, tm
     if "task" in message:
         with pytest.raises(ValueError, match=message):
             cost_of(config)
-
-
-def test_optimisers_check_their_numbers():
-    for arguments, message in (
-        ({"population": 2.5}, "population: got 2.5"),
-        ({"age_protection": 0.5}, "age_protection: got 0.5"),
-        ({"seed": -1}, "seed: got -1"),
-        ({"attempts": np.nan}, "attempts: got nan"),
-    ):
-        with pytest.raises(ValueError, match=message):
-            GeneticAlgorithm(**({"shape": (3, 3), "population": 3, "budget": 6, "seed": 0} | arguments))
-    with pytest.raises(ValueError, match="batch: got '3'"):
-        RandomSearch((3, 3), 6, "3", seed=0)
-    for arguments in (("reactiv",), ("invariant", "mean"), ("invariant", "mean_factor", 0)):
-        with pytest.raises(ValueError, match=r"material: got|edge_rule: got|num_threads: got 0"):
-            Arena("Walker-v0", *arguments)

@@ -1,6 +1,7 @@
 """The sharing benchmark: equal budgets, warm starts, exact resuming, paired intervals; a tiny run from end to end."""
 
 from dataclasses import replace
+from functools import partial
 
 import pytest
 import torch
@@ -8,8 +9,8 @@ import torch
 from benchmarks.experiments import sharing
 from benchmarks.experiments.sharing import Sharing
 from evogymcm.algos import RunFolder, Trainer, take_state
-from evogymcm.algos.codesign import Arena
-from evogymcm.envs import tasks
+from evogymcm.algos.codesign.inner_loop import holding
+from evogymcm.envs import SoftRobotEnv, tasks
 
 SHORT = replace(tasks.as_task("Walker-v0"), time_limit=6)
 
@@ -65,9 +66,9 @@ def whole(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         train_designs = sharing.train_designs
 
-        def spy(arena, designs, ppo, *, start_from, **options):
-            given[ppo.sharing] = start_from
-            return train_designs(arena, designs, ppo, start_from=start_from, **options)
+        def spy(make_env, designs, ppo, *, initial, **options):
+            given[ppo.sharing] = initial
+            return train_designs(make_env, designs, ppo, initial=initial, **options)
 
         patch.setattr(sharing, "train_designs", spy)
         patch.setitem(tasks._REGISTRY, "Walker-v0", SHORT)
@@ -103,11 +104,12 @@ def test_both_arms_have_the_same_budget(tmp_path):
 
 def test_the_untrained_policy_is_where_shared_training_starts():
     experiment = tiny()
-    arena, designs = Arena(experiment.task, experiment.material), experiment.designs()["seen"]
+    make_env = partial(SoftRobotEnv, experiment.task, material=experiment.material, num_threads=1)
+    designs = experiment.designs()["seen"]
     ppo = experiment.ppo("shared")
-    fresh = sharing.untrained_policy(arena, designs, ppo)["actor"]
+    fresh = sharing.untrained_policy(make_env, designs, ppo)["actor"]
     config = replace(ppo, num_worlds=len(designs) * ppo.num_worlds)
-    trainer = Trainer(lambda *, num_worlds, seed: arena.make(designs, num_worlds // len(designs), seed), config)
+    trainer = Trainer(holding(make_env, designs), config)
     start = trainer.actor.state_dict()
     assert start.keys() == fresh.keys()
     assert all(torch.equal(start[key], fresh[key]) for key in fresh)

@@ -16,21 +16,27 @@ from evogymcm.algos import BodyPPOConfig
 from evogymcm.algos.codesign import CodesignConfig, SearchConfig, codesign, cost_of
 from evogymcm.algos.codesign.parallel import codesign_in
 from evogymcm.commands import _options
-from evogymcm.commands.codesign import Options, without_choices
+from evogymcm.commands._older import in_present_words
+from evogymcm.commands.codesign import Options, config_of
 from tests.commands.tools import refused
 
 PPO = ["--ppo.total-steps", "64", "--ppo.num-worlds", "4", "--ppo.rollout-steps", "8", "--ppo.hidden", "8"]
-TINY = ["--shape", "2", "3", "--population", "3", "--budget", "4", "--search.rounds", "2", *PPO]
+TINY = ["--shape", "2", "3", "--population", "3", "--budget", "4", *PPO]
+SEARCHING = ["--material", "invariant", "--search.rounds", "2"]
 SMALL = BodyPPOConfig(total_steps=64, num_worlds=4, rollout_steps=8, hidden=8, eval_interval=32)
 
 
-@pytest.mark.parametrize("arm", ["reactive", "invariant", "prescribed"])
-def test_a_run_from_end_to_end(sprint, arm, capsys, tmp_path):
-    assert main(["codesign", sprint, "--arm", arm, "--prescribed", "1.5", *TINY]) == 0
+@pytest.mark.parametrize(
+    "arguments",
+    [["--material", "reactive"], SEARCHING, ["--material", "invariant", "--stiffness", "1.5"]],
+    ids=["reactive", "searching", "stiff"],
+)
+def test_a_run_from_end_to_end(sprint, arguments, capsys, tmp_path):
+    assert main(["codesign", sprint, *arguments, *TINY]) == 0
     out, err = capsys.readouterr()
-    run = tmp_path / "runs" / f"Sprint-v0-codesign-{arm}-seed0"
+    run = tmp_path / "runs" / f"Sprint-v0-codesign-{arguments[1]}-seed0"
     config, result = (json.loads((run / name).read_text()) for name in ("config.json", "result.json"))
-    assert (config["task"], config["arm"], config["shape"]) == (sprint, arm, [2, 3])
+    assert (config["task"], config["material"], config["shape"]) == (sprint, arguments[1], [2, 3])
     assert result["finished"]
     assert result["n_designs"] == 4
     best = result["best"]
@@ -38,9 +44,9 @@ def test_a_run_from_end_to_end(sprint, arm, capsys, tmp_path):
     assert float(re.search(r"^score +(\S+)", out, re.MULTILINE)[1]) == pytest.approx(best["fitness"], abs=6e-4)
     said = int(re.search(r"at most ([\d,]+) env-steps", out)[1].replace(",", ""))
     assert result["env_steps"] <= said
-    if arm != "invariant":  # there, proposals that fall behind are not scored twice
+    if arguments != SEARCHING:  # there, proposals that fall behind are not scored twice
         assert result["env_steps"] == said
-    assert ("1.50" in out.split("stiffness:")[1]) == (arm == "prescribed")
+    assert ("1.50" in out.split("stiffness:")[1]) == ("1.5" in arguments)
     assert f"best={best['fitness']:.3f}" in err
     pytest.importorskip("matplotlib")
     rows = [json.loads(line) for line in (run / "curve.jsonl").read_text().splitlines()]
@@ -52,7 +58,7 @@ def test_a_run_from_end_to_end(sprint, arm, capsys, tmp_path):
 
 
 def test_a_stopped_run_goes_on_to_the_same_result(sprint, capsys, monkeypatch, tmp_path):
-    command = ["codesign", sprint, "--arm", "invariant", *TINY]
+    command = ["codesign", sprint, *SEARCHING, *TINY]
     main([*command, "--run", "whole"])
     assert "--overwrite" in refused(capsys, *command, "--run", "whole")
 
@@ -70,7 +76,7 @@ def test_a_stopped_run_goes_on_to_the_same_result(sprint, capsys, monkeypatch, t
 
 
 def test_a_limit_in_env_steps_ends_the_run(sprint, capsys, tmp_path):
-    assert main(["codesign", sprint, "--arm", "fixed", *TINY, "--max-env-steps", "10", "--run", "run"]) == 0
+    assert main(["codesign", sprint, *TINY, "--max-env-steps", "10", "--run", "run"]) == 0
     assert "ends with the generation in which 10 env-steps are reached" in capsys.readouterr().out
     assert json.loads((tmp_path / "run" / "result.json").read_text())["n_designs"] == 3  # the first generation
 
@@ -92,8 +98,10 @@ def test_nothing_is_touched_where_an_argument_is_bad(sprint, capsys, tmp_path):
         ([*command, "--rungs", "0.5"], "keep"),
         ([*command, "--ppo.network", "mlp"], "voxel"),
         (["codesign", "Climber-v0", *TINY, "--shape", "5", "9"], "does not fit"),
-        ([*command, "--arm", "invariant", "--search.noise", "pink"], "multiplicative"),
-        ([*command, "--arm", "invariant", "--search.proposal", "cma"], "at least 2"),
+        ([*command, *SEARCHING, "--search.noise", "pink"], "multiplicative"),
+        ([*command, *SEARCHING, "--search.proposal", "cma"], "at least 2"),
+        ([*command, "--search"], "needs material 'invariant'"),
+        ([*command, "--arm", "active"], "allowed are reactive, fixed, invariant, prescribed"),
     ]:
         said = " ".join(refused(capsys, *wrong).replace("│", " ").split())  # out of its box
         assert message in said
@@ -105,30 +113,18 @@ def test_the_same_wish_gives_the_same_settings(sprint, tmp_path):
         ([], CodesignConfig(task=sprint)),
         (["--ppo.total-steps", "50000"], CodesignConfig(task=sprint, ppo=BodyPPOConfig(total_steps=50_000))),
         (
-            [
-                "--arm",
-                "invariant",
-                "--rungs",
-                "0.5",
-                "--keep",
-                "0.5",
-                "--search.rounds",
-                "3",
-                "--ppo.sharing",
-                "shared",
-            ],
+            [*SEARCHING, "--rungs", "0.5", "--keep", "0.5", "--ppo.sharing", "shared"],
             CodesignConfig(
                 task=sprint,
-                arm="invariant",
+                material="invariant",
                 rungs=(0.5,),
                 keep=(0.5,),
-                search=SearchConfig(rounds=3),
+                search=SearchConfig(rounds=2),
                 ppo=BodyPPOConfig(sharing="shared"),
             ),
         ),
     ):
-        given = tyro.cli(Options, args=[sprint, *arguments])
-        assert without_choices(given.config) == config
+        assert parse([sprint, *arguments]) == config
     own = BodyPPOConfig(total_steps=50_000)  # a wish that says nothing of worlds and sharing
     assert (own.num_worlds, own.minibatch, own.eval_interval, own.sharing) == (16, 128, 10_000, "independent")
     three = own.of_bodies(3)
@@ -141,27 +137,44 @@ def test_the_same_wish_gives_the_same_settings(sprint, tmp_path):
         shape=(2, 3),
         population=3,
         budget=4,
-        search=SearchConfig(rounds=2),
         ppo=BodyPPOConfig(total_steps=64, num_worlds=4, rollout_steps=8, hidden=8),
     )
     assert codesign_in(tmp_path / "run", config).finished
+
+
+def parse(arguments):
+    return config_of(tyro.cli(Options, args=arguments, config=(tyro.conf.FlagCreatePairsOff,)), arguments)
+
+
+def test_words_of_before_are_told_what_they_are_now(capsys):
+    for old, now in (
+        ("--arm reactive --search.rounds 2", "--material reactive"),
+        ("--arm=fixed --prescribed 1.5 --search.rounds=2", "--material invariant"),
+        ("--arm prescribed --prescribed=1.5", "--material invariant --stiffness 1.5"),
+        ("--seed 3 --arm invariant --search.rounds 2", "--material invariant --search --search.rounds 2 --seed 3"),
+    ):
+        arguments = in_present_words(["Walker-v0", *old.split()])
+        assert parse(arguments) == parse(["Walker-v0", *now.split()])
+        assert now.split(" --search.")[0] in capsys.readouterr().err
+    assert in_present_words(["Walker-v0", *SEARCHING]) == ["Walker-v0", *SEARCHING]
+    assert not capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
     "options",
     [
         {},
-        {"arm": "invariant", "search": SearchConfig(rounds=2, candidates=2)},
+        {"material": "invariant", "search": SearchConfig(rounds=2, candidates=2)},
         {"rungs": (0.25, 0.5), "keep": (0.5, 0.5)},
-        {"method": "random", "arm": "fixed"},
+        {"method": "random", "material": "invariant"},
         {"ppo": replace(SMALL, total_steps=70, eval_interval=0, sharing="shared")},
     ],
-    ids=["plain", "invariant", "halving", "random", "rounded"],
+    ids=["plain", "searching", "halving", "random", "rounded"],
 )
 def test_the_cost_is_what_a_run_takes(sprint, options):
     config = CodesignConfig(**{"task": sprint, "shape": (2, 3), "population": 4, "budget": 6, "ppo": SMALL} | options)
     cost, result = cost_of(config), codesign(config)
-    if config.arm != "invariant":
+    if not config.search:
         assert cost.total == result.env_steps
         assert cost.search == cost.finetuning == 0
         return

@@ -8,10 +8,9 @@ import sys
 
 import pytest
 
-from evogymcm import tasks
+from evogymcm import robot_tasks, tasks
 from evogymcm.__main__ import COMMANDS, main
 from evogymcm.algos.learning.bodies import STANDARD_BODY
-from evogymcm.commands.tasks import ABOUT
 from evogymcm.envs import TaskEngine
 from tests.commands.tools import refused
 
@@ -80,7 +79,7 @@ def test_tasks_prints_every_task_with_its_ceiling(capsys):
     head, *lines = capsys.readouterr().out.splitlines()
     assert head.split() == ["id", "episode", "ceiling", "about"]
     assert {line.split()[0] for line in lines} == set(tasks)
-    assert [line.split()[0] for line in lines[:6]] == list(ABOUT)[:6]
+    assert [line.split()[0] for line in lines[:6]] == list(robot_tasks.values())
     ceiling = TaskEngine("BridgeWalker-v0", STANDARD_BODY).score_ceiling[0]
     assert lines[1].split(maxsplit=3) == ["BridgeWalker-v0", "500", f"{ceiling:.2f}", "cross a soft bridge"]
 
@@ -115,7 +114,7 @@ def bash_script(tmp_path_factory):
     [
         ("evogymcm wat", "watch"),
         ("evogymcm train Walker-v0 --entr", "--entropy-weight"),
-        ("evogymcm codesign Walker-v0 --arm inv", "invariant"),
+        ("evogymcm codesign Walker-v0 --material inv", "invariant"),
         ("evogymcm codesign Walker-v0 --search.acc", "--search.acceptance"),
         ("evogymcm watch Walker-v0 --view st", "stiffness"),
         ("evogymcm tasks --l", "--long"),

@@ -214,7 +214,7 @@ def compare_with_alone(task, names):
         assert batch.came_apart, name
 
 
-@pytest.mark.parametrize(("number", "task"), enumerate(sorted(cm.tasks)))
+@pytest.mark.parametrize(("number", "task"), list(enumerate(sorted(cm.tasks))))
 def test_worlds_show_what_they_show_alone(number, task):
     names = list(RUNS)
     compare_with_alone(cm.tasks[task], {names[number % len(names)], "engine"})  # every environment in its turn

@@ -1,4 +1,4 @@
-"""The task engine: batches, threads, masks, states, voxel features and errors."""
+"""The task engine: batches, threads, masks, states, actions and errors."""
 
 import copy
 import pickle
@@ -6,12 +6,11 @@ import pickle
 import numpy as np
 import pytest
 
-import evogymcm as cm
-from evogymcm.envs.voxels import ACTUATION, N_FEATURES, PLACE, POSITIONS, STIFFNESS, VELOCITIES
 from evogymcm.sim.advance import advance
 from evogymcm.sim.constants import Physics
 from evogymcm.sim.readings import read_object, read_voxels, read_window
 from tests.envs.tools import (
+    MATERIALS,
     PAPER_ROBOTS,
     PAPER_TASKS,
     SMALL,
@@ -19,14 +18,12 @@ from tests.envs.tools import (
     WIDE,
     assert_same,
     make_engine,
-    move,
     outputs,
     random_actions,
     step_randomly,
 )
 
 MIXED = [SMALL, TALL, WIDE, "Walk_Bot"]
-MATERIALS = ("invariant", "reactive")
 
 
 def step_with(engine, actions, step, **options):
@@ -173,96 +170,6 @@ def test_reset_forgets_everything():
         assert_same(b, a)
 
 
-def test_arrays_of_a_step_are_not_written_again():
-    engine = make_engine("Walker-v0", "Walk_Bot", 2)
-    kept = [(engine.voxels, engine.flat, engine.com, engine.features)]
-    copies = [tuple(np.array(values) for values in kept[0])]
-    for _ in range(3):
-        step_randomly(engine, 1)
-        kept.append((engine.voxels, engine.flat, engine.com, engine.features))
-        copies.append(tuple(np.array(values) for values in kept[-1]))
-    for views, values in zip(kept, copies, strict=True):
-        for view, value in zip(views, values, strict=True):
-            np.testing.assert_array_equal(view, value)
-
-
-def slow_voxels(engine, world):
-    """The voxel features and types written out cell by cell; only for bodies whose points all lie apart at reset."""
-    body = engine.bodies[world]
-    spawn_x, spawn_y = engine.task.spawn
-    fresh = make_engine(engine.task, body).simulator.positions("robot", 0)
-    position = engine.simulator.positions("robot", world)
-    velocity = engine.simulator.velocities("robot", world)
-    _, columns = engine.grid_shape
-    voxels = np.zeros((engine.occupancy.shape[1], N_FEATURES))
-    types = np.zeros((engine.occupancy.shape[1], 5), int)
-
-    def type_at(row, column):
-        inside = 0 <= row < body.rows and 0 <= column < body.cols
-        return int(body.grid[row, column]) if inside else 0
-
-    for row, column in np.argwhere(body.grid != 0):
-        cell = row * columns + column
-        v = voxels[cell]
-        for corner, (right, down) in enumerate(((0, 0), (1, 0), (0, 1), (1, 1))):
-            x, y = 0.1 * (spawn_x + column + right), 0.1 * (spawn_y + body.rows - row - down)
-            distance = np.abs(fresh - [[x], [y]]).max(0)
-            point = int(distance.argmin())
-            assert (distance < 1e-9).sum() == 1
-            v[[POSITIONS + corner, POSITIONS + 4 + corner]] = position[:, point] - position.mean(1)
-            v[[VELOCITIES + corner, VELOCITIES + 4 + corner]] = velocity[:, point] - velocity.mean(1)
-        v[STIFFNESS], v[ACTUATION] = engine.stiffness[world, cell], engine.actuation[world, cell]
-        v[PLACE] = np.linspace(-1, 1, body.rows)[row] if body.rows > 1 else 0
-        v[PLACE + 1] = np.linspace(-1, 1, body.cols)[column] if body.cols > 1 else 0
-        for side, (down, right) in enumerate(((0, 0), (-1, 0), (0, 1), (1, 0), (0, -1))):
-            types[cell, side] = type_at(row + down, column + right)
-    return voxels, types
-
-
-@pytest.mark.parametrize("material", MATERIALS)
-def test_voxel_features_against_slow_twin(material):
-    engine = make_engine("DownStepper-v0", [SMALL, WIDE, "HSV", "Walk_Bot"], 5, material=material)
-    for steps in (0, 1, 14):
-        step_randomly(engine, steps)
-        expected, types = (
-            np.stack(rows) for rows in zip(*(slow_voxels(engine, world) for world in range(5)), strict=True)
-        )
-        assert engine.voxels.dtype == np.float32
-        # Up to 1e-5 of the velocities' size, which float32 cannot tell.
-        np.testing.assert_allclose(engine.voxels, expected, rtol=1e-5, atol=1e-6)
-        np.testing.assert_array_equal(engine.types, types)
-
-
-def test_voxels_do_not_depend_on_what_their_memory_held(monkeypatch):
-    engine = make_engine("Walker-v0", [SMALL, WIDE], 3)
-    monkeypatch.setattr(np, "empty_like", lambda like: np.full_like(like, np.nan))
-    for act in (lambda: step_randomly(engine, 1), engine.reset, engine.refresh):
-        act()
-        assert np.isfinite(engine.voxels).all()
-        assert (engine.voxels[~engine.occupancy] == 0).all()
-
-
-def test_neighbours_are_the_connected_ones():
-    body = cm.Body("HH/HH", [[0, 1, 0], [1, 3, 2]])  # 2 and 3 touch, but are not joined
-    engine = make_engine("Walker-v0", body)
-    assert (engine.types[0, :, 1:] > 0).tolist() == [
-        [False, True, True, False],
-        [False, False, True, True],
-        [True, False, False, False],
-        [True, False, False, False],
-    ]
-
-
-def test_features_of_the_whole_robot():
-    engine = make_engine("CaveCrawler-v0", "Cave_Bot", 2)
-    step_randomly(engine, 10)
-    velocity = np.stack([engine.simulator.velocities("robot", world).mean(1) for world in range(2)])
-    np.testing.assert_allclose(engine.features[:, :2], velocity, rtol=0, atol=1e-12)
-    np.testing.assert_allclose((engine.features[:, 2:4] ** 2).sum(1), 1.0, rtol=0, atol=1e-12)
-    np.testing.assert_array_equal(engine.features[:, 4:], engine.flat[:, -22:])  # both windows
-    assert make_engine("Walker-v0", "Walk_Bot").features.shape == (1, 4)
-
-
 def test_actions_out_of_range_are_clipped():
     clipped, wild = (make_engine("Walker-v0", "Walk_Bot", 2, material="reactive") for _ in range(2))
     rng = np.random.default_rng(0)
@@ -341,37 +248,11 @@ def test_unstable_world_pays_three_and_stays_where_it_is():
     assert not engine.terminated.any()
 
 
-BAD_ARGUMENTS = {
-    "unknown task": (("Waker-v0", SMALL), {}, "Waker-v0.*Walker-v0"),
-    "disconnected body": (("Walker-v0", "H.H"), {}, "one piece"),
-    "no actuator": (("Walker-v0", "RS"), {}, "actuator"),
-    "code out of range": (("Walker-v0", [[3, 7]]), {}, "7"),
-    "ragged body": (("Walker-v0", [[3, 3], [3]]), {}, "equally long rows"),
-    "no bodies": (("Walker-v0", []), {}, "none"),
-    "unknown robot": (("Walker-v0", "Walk_Bott"), {}, "Walk_Bot"),
-    "body that does not fit": (("AreaMaximizer-v0", "H" * 12), {}, "fit.*AreaMaximizer-v0"),
-    "no worlds": (("Walker-v0", SMALL, 0), {}, "num_worlds"),
-    "no threads": (("Walker-v0", SMALL), {"num_threads": 0}, "num_threads"),
-    "unknown material": (("Walker-v0", SMALL), {"material": "active"}, "active.*invariant"),
-    "unknown edge rule": (("Walker-v0", SMALL), {"edge_rule": "mean"}, "mean_factor"),
-    "stiffness too high": (("Walker-v0", SMALL), {"stiffness": np.full((2, 3), 2.1)}, r"2\.1.*0\.5 to 2"),
-    "stiffness too low": (("Walker-v0", SMALL), {"stiffness": np.full((2, 3), 0.4)}, r"0\.4.*0\.5 to 2"),
-    "stiffness NaN": (("Walker-v0", SMALL), {"stiffness": np.full((2, 3), np.nan)}, "stiffness"),
-    "stiffness shape": (("Walker-v0", SMALL), {"stiffness": np.ones((3, 2))}, r"\(3, 2\).*\(2, 3\)"),
-    "one field for two bodies": (("Walker-v0", [SMALL, WIDE]), {"stiffness": np.ones((2, 3))}, "2 bodies"),
-    "stiffness in reactive": (
-        ("Walker-v0", SMALL),
-        {"stiffness": np.ones((2, 3)), "material": "reactive"},
-        "reactive.*action",
-    ),
-}
-
-
-@pytest.mark.parametrize("case", BAD_ARGUMENTS)
-def test_bad_arguments_are_named(case):
-    arguments, options, message = BAD_ARGUMENTS[case]
-    with pytest.raises(ValueError, match=message):
-        make_engine(*arguments, **options)
+def test_worlds_and_fields_that_do_not_fit_the_bodies_are_named():
+    with pytest.raises(ValueError, match="num_worlds"):
+        make_engine("Walker-v0", SMALL, 0)
+    with pytest.raises(ValueError, match="2 bodies"):
+        make_engine("Walker-v0", [SMALL, WIDE], stiffness=np.ones((2, 3)))
 
 
 def test_bad_actions_are_named():
@@ -393,13 +274,6 @@ def test_bad_actions_are_named():
     with pytest.raises(ValueError, match="invariant"):
         make_engine("Walker-v0", SMALL).step(good[:1], good[:1])
     assert_same(outputs(engine), before)  # a refused action changes nothing
-
-
-def test_moved_robot_is_read_after_refresh():
-    engine = make_engine("Walker-v0", "Walk_Bot", 3)
-    before = engine.com
-    move(engine, 0.3, 0.2, world=1)
-    np.testing.assert_allclose(engine.com - before, [[0, 0], [0.3, 0.2], [0, 0]], rtol=0, atol=1e-12)
 
 
 @pytest.mark.parametrize("mask", [[0, 1], [True], np.ones((2, 2), bool), np.ones(2)])

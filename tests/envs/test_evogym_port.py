@@ -13,9 +13,7 @@ OPTIONS = {"verbose": False, "hide_background": False, "hide_grid": True, "hide_
 GRID = np.array([[3, 4, 3], [2, 0, 1]])
 
 
-@pytest.fixture(autouse=True)
-def _headless(monkeypatch):
-    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+pytestmark = pytest.mark.usefixtures("headless")
 
 
 def make(task, body=GRID, **options):

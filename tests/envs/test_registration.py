@@ -15,7 +15,8 @@ import evogymcm as cm
 from evogymcm.envs import GymnasiumEnv
 from evogymcm.envs import tasks as task_package
 from evogymcm.envs.tasks.walking import Walking
-from tests.registries import own_registries
+
+pytestmark = pytest.mark.usefixtures("own_registries")
 
 ROOT = Path(__file__).resolve().parents[2]
 FIELDS = {"world": "Walker-v0", "spawn": (1, 1), "time_limit": 7, "observes": ("velocity", "relative")}
@@ -29,12 +30,6 @@ class Mine(Walking):
 def as_in_a_notebook(name="Mine"):
     """A new class of the same module and name, as running a cell again makes it."""
     return make_dataclass(name, [], bases=(Walking,), frozen=True, namespace={"__module__": __name__})
-
-
-@pytest.fixture(autouse=True)
-def _registries():
-    with own_registries():
-        yield
 
 
 def test_a_cell_run_again_replaces_its_task_with_a_warning():

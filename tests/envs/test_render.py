@@ -28,9 +28,7 @@ pygame = pytest.importorskip("pygame")
 imageio = pytest.importorskip("imageio.v3")
 
 
-@pytest.fixture(autouse=True)
-def _headless(monkeypatch):
-    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+pytestmark = pytest.mark.usefixtures("headless")
 
 
 def walk(engine, steps):

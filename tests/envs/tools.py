@@ -3,10 +3,12 @@
 import itertools
 import math
 
+import gymnasium
 import numpy as np
 
 from evogymcm.envs import TaskEngine
 
+MATERIALS = ("invariant", "reactive")
 PAPER_TASKS = (
     "Walker-v0",
     "BridgeWalker-v0",
@@ -120,3 +122,19 @@ def _cross(a, b):
 def make_engine(task="Walker-v0", bodies="Walk_Bot", num_worlds=None, **options):
     """A task engine with one thread."""
     return TaskEngine(task, bodies, num_worlds, **{"num_threads": 1, "seed": 0} | options)
+
+
+def make_gymnasium(task="Walker-v0", body="Walk_Bot", **options):
+    """A registered environment of one world."""
+    return gymnasium.make(f"evogymcm/{task}", body=body, **options)
+
+
+def make_vec(task="Walker-v0", body="Walk_Bot", num_envs=4, **options):
+    """A registered vector environment with one thread."""
+    return gymnasium.make_vec(f"evogymcm/{task}", num_envs=num_envs, body=body, **{"num_threads": 1} | options)
+
+
+def draw(space, steps, seed=0):
+    """Samples of a space, one for each step."""
+    space.seed(seed)
+    return [space.sample() for _ in range(steps)]

@@ -14,7 +14,7 @@ from tests.registries import registered
 
 PPO = PPOConfig(total_steps=64, num_worlds=4, rollout_steps=8, epochs=1, minibatch=16, hidden=8, eval_interval=32)
 TINY = CodesignConfig(
-    task="Dart-v0", shape=(2, 3), population=4, budget=6, finetune_steps=32, search=SearchConfig(rounds=3),
+    task="Dart-v0", shape=(2, 3), population=4, budget=6, finetune_steps=32,
     ppo=BodyPPOConfig(
         total_steps=64, num_worlds=4, rollout_steps=8, epochs=1, minibatch=16, hidden=8, eval_interval=32
     ),
@@ -56,7 +56,8 @@ def evolved(tmp_path_factory):
     """A folder of three co-design runs."""
     folder = tmp_path_factory.mktemp("evolved")
     for arm, seed in (("reactive", 0), ("invariant", 0), ("invariant", 1)):
-        config = replace(TINY, arm=arm, seed=seed)
+        search = SearchConfig(rounds=3) if arm == "invariant" else None
+        config = replace(TINY, material=arm, search=search, seed=seed)
         with registered(DART):
             codesign(config, run=RunFolder(folder / f"{arm}-{seed}", asdict(config)))
     return folder

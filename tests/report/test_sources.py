@@ -100,7 +100,7 @@ def test_co_design_is_finished_when_it_is(tmp_path, method):
     if method == "qd":
         pytest.importorskip("ribs")
     short = replace(TINY.ppo, total_steps=32, eval_interval=0)
-    config = replace(TINY, arm="invariant", method=method, budget=4, search=SearchConfig(rounds=1), ppo=short)
+    config = replace(TINY, material="invariant", search=SearchConfig(rounds=1), method=method, budget=4, ppo=short)
     state, seen = Codesign(config, RunFolder(tmp_path / "run", asdict(config))), []
     while not state.is_finished:
         assert state.advance()

@@ -17,11 +17,9 @@ from tests.sim.tools import (
     SMALL,
     STANDARD,
     all_state,
-    forget_room,
     grid_of,
     in_air,
     placed,
-    room_of,
     simulator,
     springs_of,
 )
@@ -165,14 +163,6 @@ def test_a_world_recovers_from_nan_by_reset():
     assert sim.step(np.full((1, 6), np.nan)).all()
     sim.reset()
     assert_equal_bits(run(sim, actuation), run(fresh, actuation))
-
-
-def test_lists_of_candidates_and_contacts_grow_unseen():
-    sim, roomy = simulator(*[placed(STANDARD)] * 2), simulator(*[placed(STANDARD)] * 2)
-    forget_room(sim)
-    actions = random_actions(2, sim.n_cells)
-    assert_equal_bits(run(sim, *actions), run(roomy, *actions))
-    assert all(1 < got < made for got, made in zip(room_of(sim), room_of(roomy), strict=True))
 
 
 def test_stiffness_one_is_no_stiffness():

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from evogymcm._grid import full_connections
-from evogymcm.sim.world import World, WorldObject, load_prefab, prefab_names, world_names
+from evogymcm.sim import World, WorldObject, load_prefab, prefab_names, world_names
 
 # Width, height, objects, voxels, and the CRC-32 of the whole picture, of each world as compared cell by cell with
 # EvoGym's own file.

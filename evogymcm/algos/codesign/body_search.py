@@ -4,19 +4,29 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from math import isfinite
-from typing import Any
+from typing import Any, Required, TypedDict
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from evogymcm._settings import check_count, check_pair
-from evogymcm.algos.codesign.design import Design, Individual
+from evogymcm._settings import check_count, check_number, check_pair
+from evogymcm.algos.codesign.design import Design, Individual, mutate_design
 from evogymcm.body import H_ACT, SAMPLE_WEIGHTS, V_ACT, check_weights, sample_body
 
-__all__ = ["Design", "DesignSearch", "Individual"]
+__all__ = ["BodySearchOptions", "DesignSearch", "check_budget", "check_settings"]
 
 Draw = Callable[[], tuple[Design | None, int | None]]  # gives a design, None where that failed, and its parent
 _MAX_FAILURES = 10_000  # draws in a row without a new body, before the bodies of a shape count as used up
+
+
+class BodySearchOptions(TypedDict, total=False):
+    """What every body search takes by name, see `DesignSearch`."""
+
+    seed: Required[int]
+    mutation_rate: float
+    attempts: int
+    carries_stiffness: bool
+    weights: Sequence[float]
 
 
 class DesignSearch(ABC):
@@ -26,48 +36,57 @@ class DesignSearch(ABC):
 
     Args:
         shape: rows and columns of the bodies.
-        budget: how many bodies are proposed in all.
-        seed: of all random draws.
+        budget: M, how many bodies are proposed in all.
+        population: P, individuals in a generation.
+        seed: where all random draws come from.
+        mutation_rate: probability that a cell of a mutant is drawn anew, see `mutate_body`.
+        attempts: how often a valid mutant is tried for, before another parent is drawn.
         carries_stiffness: whether stiffness belongs to the design (the invariant setting).
-        settings: the method's own settings, of JSON types; a saved state is loaded only where they are equal.
         weights: relative frequencies of the codes 0 to 4 in random bodies and in cells drawn anew (EvoGym's by
             default); a larger first one gives bodies of fewer voxels.
+        settings: the method's own settings, of JSON types.
 
     Attributes:
-        settings: all of them, of JSON types.
+        settings: all of them, of JSON types; a saved state is loaded only where they are equal.
         n_designs: bodies proposed so far.
-        generation: of the individuals asked for next, counted from 0: so many have been told.
+        generation: number of the generation asked for next, counted from 0: so many have been told.
 
     Raises:
-        ValueError: The shape has no cell, the budget no body or more than there can be, a number is of the wrong kind,
-            or the weights are none of `sample_body`.
+        ValueError: The shape has no cell, the budget no body or more than there can be, a number is of the wrong kind
+            or out of range, or the weights are none of `sample_body`.
     """
 
     def __init__(
         self,
         shape: tuple[int, int],
         budget: int,
+        population: int,
         *,
         seed: int,
-        carries_stiffness: bool,
-        settings: Mapping[str, Any],
+        mutation_rate: float = 0.1,
+        attempts: int = 50,
+        carries_stiffness: bool = False,
         weights: Sequence[float] = SAMPLE_WEIGHTS,
+        settings: Mapping[str, Any] | None = None,
     ) -> None:
         rows, cols = (check_count("shape", side) for side in check_pair("shape", shape))
-        seed = check_count("seed", seed, 0)
-        self.shape, self.budget, self.carries_stiffness = (rows, cols), check_count("budget", budget), carries_stiffness
-        self.weights = check_weights(weights)
-        possible = _most_bodies(rows * cols, self.weights)
-        if self.budget > possible:
-            raise ValueError(f"budget: got {self.budget}, there are at most {possible} bodies of shape {self.shape}")
+        self.shape, self.budget = (rows, cols), check_count("budget", budget)
+        self.population_size = check_count("population", population)
+        self.mutation_rate = check_number("mutation_rate", mutation_rate, above=0.0, high=1.0)
+        self.attempts = check_count("attempts", attempts)
+        self.carries_stiffness, self.weights = carries_stiffness, check_weights(weights)
+        check_budget(self.shape, self.budget, self.weights)
         self.settings = {
             "method": type(self).__name__,
             "shape": list(self.shape),
             "budget": self.budget,
-            "seed": seed,
+            "population": self.population_size,
+            "seed": check_count("seed", seed, 0),
+            "mutation_rate": self.mutation_rate,
+            "attempts": self.attempts,
             "carries_stiffness": carries_stiffness,
             "weights": list(self.weights),
-            **settings,
+            **(settings or {}),
         }
         self.n_designs = self.generation = 0
         self._rng = np.random.default_rng(seed)
@@ -143,7 +162,7 @@ class DesignSearch(ABC):
         The survivors stay the same; the population and they are sorted anew.
 
         Args:
-            index: of the survivor.
+            index: number of the survivor.
             stiffness: (rows, cols) its new field; None leaves the old one.
             fitness: its new fitness; None leaves the old one.
 
@@ -186,7 +205,11 @@ class DesignSearch(ABC):
         Raises:
             ValueError: The state is of a search with other settings.
         """
-        check_settings(self.settings, state["settings"])
+        saved = dict(state["settings"])
+        if "batch" in saved:  # before, a population was called so, and random search had no rate of mutation
+            size = saved.pop("batch")
+            saved = self.settings | saved | {"population": size}
+        check_settings(self.settings, saved)
         self._rng.bit_generator.state = state["rng"]
         self.n_designs, self.generation = state["n_designs"], state["generation"]
         self._population = [Individual.from_record(record) for record in state["population"]]
@@ -228,12 +251,20 @@ class DesignSearch(ABC):
         """A random body without a parent, for `_fill`."""
         return Design(sample_body(self.shape, self._rng, self.weights)), None
 
+    def _mutant(self, parents: list[Individual]) -> tuple[Design | None, int]:
+        """A mutant of one of the parents, drawn uniformly, for `_fill`."""
+        parent = parents[self._rng.integers(len(parents))]
+        settings = (self.mutation_rate, self.attempts, self.weights)
+        return mutate_design(parent.design, self._rng, *settings), parent.index
 
-def _most_bodies(cells: int, weights: Sequence[float]) -> int:
-    """Returns how many grids of so many cells have an actuator; not all of them are connected."""
-    is_drawn = [weight > 0.0 for weight in weights]
+
+def check_budget(shape: tuple[int, int], budget: int, weights: Sequence[float]) -> None:
+    """Raises a ValueError where there are fewer grids with an actuator; not all of those are connected."""
+    cells, is_drawn = shape[0] * shape[1], [weight > 0.0 for weight in weights]
     codes = sum(is_drawn)
-    return codes**cells - (codes - is_drawn[H_ACT] - is_drawn[V_ACT]) ** cells
+    possible = codes**cells - (codes - is_drawn[H_ACT] - is_drawn[V_ACT]) ** cells
+    if budget > possible:
+        raise ValueError(f"budget: got {budget}, there are at most {possible} bodies of shape {shape}")
 
 
 def check_settings(own: Mapping[str, Any], saved: Mapping[str, Any]) -> None:

@@ -1,42 +1,45 @@
-"""Settings of a co-design run: the arm, the optimiser, the budgets, and the inner loop of one body."""
+"""Settings of a co-design run: plain data, without torch."""
 
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, fields
-from typing import Any
+import warnings
+from collections.abc import Callable
+from dataclasses import KW_ONLY, dataclass, field
+from functools import wraps
+from typing import Any, Literal
 
-import numpy as np
-
-from evogymcm._settings import check_choice, check_count, check_flag, check_number, check_numbers, check_pair
+from evogymcm._settings import EdgeRule, Material, check_count, check_fields, check_numbers, check_pair
 from evogymcm.algos.codesign.body_ppo import BodyPPOConfig, check_body_ppo
-from evogymcm.algos.codesign.body_search import DesignSearch
-from evogymcm.algos.codesign.design import Design
-from evogymcm.algos.codesign.genetic import GeneticAlgorithm
+from evogymcm.algos.codesign.body_search import check_budget
+from evogymcm.algos.codesign.genetic import check_population
 from evogymcm.algos.codesign.halving import HalvingSchedule
-from evogymcm.algos.codesign.inner_loop import Arena
-from evogymcm.algos.codesign.material_search import check_search
-from evogymcm.algos.codesign.random_search import RandomSearch
-from evogymcm.body import H_ACT, SAMPLE_WEIGHTS, STIFFNESS_HIGH, STIFFNESS_LOW, Body, check_weights
-from evogymcm.sim.scene import EDGE_RULES
+from evogymcm.algos.runs.older import of_arm
+from evogymcm.body import SAMPLE_WEIGHTS, STIFFNESS_HIGH, STIFFNESS_LOW, check_weights
 
-__all__ = ["ARMS", "METHODS", "CodesignConfig", "SearchConfig"]
+__all__ = ["CodesignConfig", "SearchConfig"]
 
-ARMS: Mapping[str, str] = {  # -> material setting
-    "reactive": "reactive",
-    "fixed": "invariant",
-    "invariant": "invariant",
-    "prescribed": "invariant",
+Method = Literal["ga", "random", "qd"]
+Acceptance = Literal["reference", "paper"]
+Noise = Literal["multiplicative", "additive"]
+Proposal = Literal["hill-climbing", "cma"]
+
+_BOUNDS: dict[str, dict[str, float]] = {  # counts without any: from 1
+    "stiffness": {"low": STIFFNESS_LOW, "high": STIFFNESS_HIGH},
+    "mutation_rate": {"above": 0, "high": 1},
+    "inherit_std": {"above": 0},
+    "age_protection": {"low": 0},
+    "seed": {"low": 0},
+    "probability": {"low": 0, "high": 1},
+    "sigma": {"above": 0},
 }
-METHODS = ("ga", "random", "qd")
 
 
 @dataclass(frozen=True)
 class SearchConfig:
-    """Material local search, see `MaterialSearch`; the defaults are those of EvoGymCM's reference code.
+    """Material search, see `MaterialSearch`; the defaults are those of EvoGymCM's reference code.
 
     Attributes:
         rounds: proposals of each survivor, one after another.
         candidates: proposals of each survivor in a round, evaluated together.
-        probability: of a voxel to be changed in a proposal.
+        probability: how likely a voxel is to be changed in a proposal.
         sigma: standard deviation of its noise; with CMA-ES, the initial step in the logarithm of stiffness.
         acceptance: "reference" (gains of 2 % or more) or "paper" (any gain).
         noise: "multiplicative" (reference code) or "additive" (paper).
@@ -44,20 +47,20 @@ class SearchConfig:
 
     Raises:
         ValueError: A value is of the wrong kind or out of range, or "cma" has fewer than 2 candidates.
-        ImportError: The package for CMA-ES is missing.
     """
 
     rounds: int = 20
     candidates: int = 1
     probability: float = 0.15
     sigma: float = 0.2
-    acceptance: str = "reference"
-    noise: str = "multiplicative"
-    proposal: str = "hill-climbing"
+    acceptance: Acceptance = "reference"
+    noise: Noise = "multiplicative"
+    proposal: Proposal = "hill-climbing"
 
     def __post_init__(self) -> None:
-        for name, value in check_search(asdict(self)).items():
-            object.__setattr__(self, name, value)
+        check_fields(self, _BOUNDS)
+        if self.proposal == "cma" and self.candidates < 2:
+            raise ValueError(f"candidates: got {self.candidates}, proposal 'cma' needs at least 2")
 
 
 @dataclass(frozen=True)
@@ -66,7 +69,11 @@ class CodesignConfig:
 
     Attributes:
         task: id of the task.
-        arm: "reactive", "fixed", "invariant" or "prescribed".
+        material: "reactive" (policies set stiffness) or "invariant" (stiffness belongs to the design).
+        stiffness: factor of all voxels in the invariant setting; a search begins at 1.
+        search: search of the survivors' stiffness fields, with fine-tuning after it, in the invariant setting; None for
+            none.
+        edge_rule: how stiffness acts on shared edges.
         shape: rows and columns of the bodies.
         method: "ga" (EvoGym's genetic algorithm), "random" search, or "qd" (a quality-diversity archive, extra).
         population: P, bodies in a generation.
@@ -74,36 +81,36 @@ class CodesignConfig:
         max_env_steps: simulated env-steps of all kinds after which the run ends (with the generation that it is in);
             None for no limit but the budget.
         mutation_rate: probability that a cell of a child is drawn anew.
-        attempts: at a valid mutant, before another parent is drawn.
+        attempts: how often a valid mutant is tried for, before another parent is drawn.
         weights: relative frequencies of empty, rigid, soft, horizontal and vertical cells in random bodies and in cells
             drawn anew (EvoGym's by default).
-        mutants: of a parent for each child, played once under the parent's controller; the best of them is trained. 1
-            takes the first, as EvoGym does; more need `inherit`, and the genetic algorithm.
-        inherit: whether a child starts from its parent's controller instead of a fresh one; needs a method that has
+        mutants: how many of a parent there are for each child, played once under the parent's policy; the best of them
+            is trained. 1 takes the first, as EvoGym does; more need `inherit`, and the genetic algorithm.
+        inherit: whether a child starts from its parent's policy instead of a fresh one; needs a method that has
             parents, and policies that are not shared, since one policy cannot start from several.
-        inherit_std: standard deviation with which an inherited controller explores at first, in half ranges of the
-            action; None for its own, which its parent's training has lowered.
+        inherit_std: standard deviation with which an inherited policy explores at first, in half ranges of the action;
+            None for its own, which its parent's training has lowered.
         rungs: shares of the training budget at which bodies are compared (successive halving); none by default.
         keep: share of the bodies that go on after each rung.
         age_protection: generations in which new bodies are protected, see `GeneticAlgorithm`.
-        prescribed: stiffness of the "prescribed" arm.
-        edge_rule: how stiffness acts on shared edges.
-        search: material local search of the "invariant" arm.
-        finetune_steps: env-steps of each survivor's fine-tuning in the "invariant" arm; None for 1 % of the training.
+        finetune_steps: env-steps of each survivor's fine-tuning after a search; None for 1 % of the training.
         ppo: inner loop of one body. `sharing` says whether the bodies of a generation have policies of their own
             ("independent") or one; its seeds and schedules are those of the run, and not set here.
-        seed: of bodies, mutations, weights and exploration.
-        num_threads: of the simulator; None for all cores.
+        seed: where all draws come from: bodies, mutations, weights and exploration.
+        num_threads: threads of the simulator; None for all cores.
 
     Raises:
         ValueError: A value is of the wrong kind or out of range, or values do not go together.
-        ImportError: The package of the method or of the search's proposals is missing.
     """
 
     task: str = "Walker-v0"
-    arm: str = "reactive"
+    _: KW_ONLY
+    material: Material = "reactive"
+    stiffness: float = 1.0
+    search: SearchConfig | None = None
+    edge_rule: EdgeRule = "mean_factor"
     shape: tuple[int, int] = (5, 5)
-    method: str = "ga"
+    method: Method = "ga"
     population: int = 8
     budget: int = 32
     max_env_steps: int | None = None
@@ -116,60 +123,51 @@ class CodesignConfig:
     rungs: tuple[float, ...] = ()
     keep: tuple[float, ...] = ()
     age_protection: int = 0
-    prescribed: float = 1.0
-    edge_rule: str = "mean_factor"
-    search: SearchConfig = field(default_factory=SearchConfig)
     finetune_steps: int | None = None
     ppo: BodyPPOConfig = field(default_factory=BodyPPOConfig)
     seed: int = 0
     num_threads: int | None = 1
 
     def __post_init__(self) -> None:
-        for item in fields(self):
-            object.__setattr__(self, item.name, self._checked(item.name, getattr(self, item.name)))
+        check_fields(self, _BOUNDS)
+        halving = HalvingSchedule(self.rungs, self.keep)
+        rows, cols = (check_count("shape", side) for side in check_pair("shape", self.shape))
+        weights = check_weights(check_numbers("weights", self.weights))
+        for name, value in (("shape", (rows, cols)), ("weights", weights), *vars(halving).items()):
+            object.__setattr__(self, name, value)
+        if not isinstance(self.task, str):
+            raise ValueError(f"task: got {self.task!r}, expected the id of a task")
+        if not isinstance(self.search, SearchConfig | None):
+            raise ValueError(f"search: got {self.search!r}, expected a SearchConfig or None")
+        self._check_ppo()
+        self._check_material()
         self._check_inheritance()
-        if self.age_protection and self.method != "ga":
+        check_budget(self.shape, self.budget, self.weights)
+        if self.method == "ga":
+            check_population(self.population, self.budget)
+        elif self.age_protection:
             raise ValueError(f"age_protection: got {self.age_protection}, method {self.method!r} has none (0)")
-        self.halving()
-        self.make_search()
 
-    def _checked(self, name: str, value: Any) -> Any:
-        """Returns the value of a field as Python has it, or raises a ValueError."""
-        choices = {"arm": tuple(ARMS), "method": METHODS, "edge_rule": EDGE_RULES}
-        if name in choices:
-            return check_choice(name, value, choices[name])
-        if name in ("max_env_steps", "finetune_steps", "num_threads", "inherit_std") and value is None:
-            return None
-        match name:
-            case "task":
-                if not isinstance(value, str):
-                    raise ValueError(f"task: got {value!r}, expected the id of a task")
-                return value
-            case "shape":
-                return tuple(check_count("shape", side) for side in check_pair("shape", value))
-            case "weights":
-                return check_weights(check_numbers(name, value))
-            case "rungs" | "keep":
-                return check_numbers(name, value)
-            case "inherit":
-                return check_flag(name, value)
-            case "mutation_rate":
-                return check_number(name, value, above=0.0, high=1.0)
-            case "inherit_std":
-                return check_number(name, value, above=0.0)
-            case "prescribed":
-                return check_number(name, value, low=STIFFNESS_LOW, high=STIFFNESS_HIGH)
-            case "search":
-                if not isinstance(value, SearchConfig):
-                    raise ValueError(f"search: got {value!r}, expected a SearchConfig")
-                return value
-            case "ppo":
-                return _checked_ppo(value)
-            case _:
-                return check_count(name, value, 0 if name in ("age_protection", "seed") else 1)
+    def _check_ppo(self) -> None:
+        """Raises a ValueError where the inner loop does not go together with co-design."""
+        check_body_ppo(self.ppo)
+        if self.ppo.network != "voxel":
+            raise ValueError(f"ppo.network: got {self.ppo.network!r}, bodies differ, so it must be 'voxel'")
+        defaults = BodyPPOConfig()
+        for name, instead in (("seed", "seed"), ("schedule", "rungs")):
+            if getattr(self.ppo, name) != getattr(defaults, name):
+                raise ValueError(f"ppo.{name}: got {getattr(self.ppo, name)}, in co-design it comes from {instead}")
+
+    def _check_material(self) -> None:
+        """Raises a ValueError where stiffness is asked for that the run does not have."""
+        if self.material == "reactive" and (self.stiffness != 1.0 or self.search):
+            name = "search" if self.search else "stiffness"
+            raise ValueError(f"{name}: got {getattr(self, name)}, policies set stiffness; needs material 'invariant'")
+        if self.search and self.stiffness != 1.0:
+            raise ValueError(f"stiffness: got {self.stiffness}, a search begins at 1")
 
     def _check_inheritance(self) -> None:
-        """Raises a ValueError where children cannot start from their parents' controllers."""
+        """Raises a ValueError where children cannot start from their parents' policies."""
         if self.inherit and self.method == "random":
             raise ValueError("inherit: got True, but with method 'random' bodies have no parents")
         if self.inherit and self.ppo.sharing == "shared":
@@ -185,52 +183,21 @@ class CodesignConfig:
                 f"got inherit={self.inherit}, method={self.method!r}"
             )
 
-    def check(self) -> None:
-        """Makes sure that a run can start: raises what would be raised only in the first generation.
 
-        Raises:
-            ValueError: There is no such task, or a body that fills the shape does not fit into its world.
-        """
-        design = Design(Body(np.full(self.shape, H_ACT)))
-        self.make_arena().make([design]).close(raise_if_closed=False)
+def _with_old_words(init: Callable[..., None]) -> Callable[..., None]:
+    """Returns a constructor that takes `arm` and `prescribed` too, for one version."""
 
-    def halving(self) -> HalvingSchedule:
-        """Returns the schedule of successive halving; without rungs every body trains in full."""
-        return HalvingSchedule(self.rungs, self.keep)
+    @wraps(init)
+    def take(self: CodesignConfig, *args: Any, **settings: Any) -> None:
+        if {"arm", "prescribed"} & settings.keys():
+            arm, value = settings.pop("arm", "reactive"), settings.pop("prescribed", settings.get("stiffness", 1.0))
+            now = of_arm(arm, value, settings.get("search") or SearchConfig())
+            said = ", ".join(f"{name}={value!r}" for name, value in now.items())
+            warnings.warn(f"arm={arm!r} is of before and will go; write {said}", DeprecationWarning, stacklevel=2)
+            settings |= now
+        init(self, *args, **settings)
 
-    def make_search(self) -> DesignSearch:
-        """Returns the optimiser over designs, before its first generation."""
-        if self.method == "random":
-            return RandomSearch(self.shape, self.budget, self.population, self.seed, self.weights)
-        options: dict[str, Any] = {
-            "seed": self.seed,
-            "mutation_rate": self.mutation_rate,
-            "attempts": self.attempts,
-            "carries_stiffness": self.arm == "invariant",
-            "weights": self.weights,
-        }
-        if self.method == "qd":
-            from evogymcm.algos.codesign.map_elites import MapElites
-
-            return MapElites(self.shape, self.budget, self.population, **options)
-        return GeneticAlgorithm(self.shape, self.population, self.budget, age_protection=self.age_protection, **options)
-
-    def make_arena(self) -> Arena:
-        """Returns where designs are trained and scored."""
-        return Arena(self.task, ARMS[self.arm], self.edge_rule, self.num_threads)
-
-    def finetuning(self) -> BodyPPOConfig:
-        """Returns the settings of a survivor's fine-tuning."""
-        return self.ppo.finetuning(self.finetune_steps)
+    return take
 
 
-def _checked_ppo(ppo: Any) -> BodyPPOConfig:
-    """Returns settings of the inner loop that go together with co-design, or raises a ValueError."""
-    check_body_ppo(ppo)
-    if ppo.network != "voxel":
-        raise ValueError(f"ppo.network: got {ppo.network!r}, bodies differ, so it must be 'voxel'")
-    defaults = BodyPPOConfig()
-    for name, instead in (("seed", "seed"), ("schedule", "rungs")):
-        if getattr(ppo, name) != getattr(defaults, name):
-            raise ValueError(f"ppo.{name}: got {getattr(ppo, name)}, in co-design it comes from {instead}")
-    return ppo
+CodesignConfig.__init__ = _with_old_words(CodesignConfig.__init__)  # type: ignore[method-assign]

@@ -1,16 +1,14 @@
 """What a co-design run costs in simulated env-steps, known before it starts."""
 
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
-from itertools import pairwise
+from collections import Counter
+from dataclasses import dataclass
 
 from evogymcm.algos.codesign.config import CodesignConfig
-from evogymcm.algos.codesign.genetic import survivor_count
-from evogymcm.algos.learning.config import PPOConfig
+from evogymcm.algos.codesign.plan import Training, finetuning, generations, phases, trainings
 from evogymcm.algos.learning.evaluation import starts_of
 from evogymcm.envs.tasks import as_task
 
-__all__ = ["Cost", "cost_of", "generations"]
+__all__ = ["Cost", "cost_of"]
 
 
 @dataclass(frozen=True)
@@ -18,43 +16,23 @@ class Cost:
     """The most env-steps that a run can take, by what they are for.
 
     Attributes:
-        training: of new bodies.
-        scoring: evaluations of all kinds.
-        screening: of mutants, of which few are trained.
-        search: of stiffness fields.
-        finetuning: of survivors.
+        training: env-steps in which new bodies learn.
+        scoring: env-steps of evaluations of all kinds.
+        screening: env-steps of mutants, of which few are trained.
+        search: env-steps under stiffness fields that are tried.
+        finetuning: env-steps in which survivors learn on.
     """
 
-    training: int
-    scoring: int
-    screening: int
-    search: int
-    finetuning: int
+    training: int = 0
+    scoring: int = 0
+    screening: int = 0
+    search: int = 0
+    finetuning: int = 0
 
     @property
     def total(self) -> int:
         """All of them."""
         return self.training + self.scoring + self.screening + self.search + self.finetuning
-
-
-def generations(config: CodesignConfig) -> Iterator[tuple[int, int]]:
-    """Yields the new bodies of each generation, the first one first, and the most that survive it and are worked on."""
-    done = survivors = 0
-    while done < config.budget:
-        new = min(config.population - survivors, config.budget - done)
-        done += new
-        if config.method == "ga":
-            survivors = survivor_count(config.population, config.budget, done)
-        yield new, {"ga": survivors, "random": 0, "qd": new}[config.method]
-
-
-def _training(ppo: PPOConfig, bodies: int, evaluation: int) -> tuple[int, int]:
-    """Returns the env-steps of training so many bodies, and those of its evaluations."""
-    frames = ppo.frames_per_update
-    updates = -(-ppo.total_steps // frames)
-    between = min(updates - 1, (updates - 1) * frames // ppo.eval_interval) if ppo.eval_interval else 0
-    evaluations = between + 2  # those of the untrained and the final policy
-    return bodies * updates * frames, bodies * evaluation * evaluations
 
 
 def cost_of(config: CodesignConfig) -> Cost:
@@ -65,21 +43,27 @@ def cost_of(config: CodesignConfig) -> Cost:
     """
     task = as_task(config.task)
     evaluation = task.time_limit * starts_of(task)  # of one body
-    halving = config.halving()
-    training = scoring = screening = search = finetuning = 0
+    spent: Counter[str] = Counter()
+
+    def learn(kind: str, training: Training) -> None:
+        frames = training.ppo.frames_per_update
+        updates = -(-training.ppo.total_steps // frames)
+        interval = training.ppo.eval_interval
+        between = min(updates - 1, (updates - 1) * frames // interval) if interval else 0
+        spent[kind] += training.bodies * updates * frames
+        spent["scoring"] += training.bodies * evaluation * (between + 2)  # with the untrained and the final policy
+
     for generation, (new, survivors) in enumerate(generations(config)):
-        going = new
-        if config.mutants > 1 and generation:
-            screening += new * config.mutants * evaluation
-        scoring += new * evaluation
-        for rung, (begin, end) in enumerate(pairwise((0.0, *halving.rungs, 1.0))):
-            share = replace(config.ppo, total_steps=max(1, round(config.ppo.total_steps * (end - begin))))
-            steps, evaluations = _training(share, going, evaluation)
-            training, scoring = training + steps, scoring + evaluations
-            if rung < len(halving.rungs):
-                going = halving.count(rung, going)
-        if config.arm == "invariant" and survivors:
-            search += config.search.rounds * (config.search.candidates + 1) * survivors * evaluation
-            steps, evaluations = _training(config.finetuning(), survivors, evaluation)
-            finetuning, scoring = finetuning + steps, scoring + evaluations + survivors * evaluation
-    return Cost(training, scoring, screening, search, finetuning)
+        for phase in phases(config, generation, survivors):
+            if phase == "screen":
+                spent["screening"] += new * config.mutants * evaluation
+            elif phase == "train":
+                spent["scoring"] += new * evaluation
+                for training in trainings(config, generation, new):
+                    learn("training", training)
+            elif phase == "finetune":
+                spent["scoring"] += survivors * evaluation
+                learn("finetuning", finetuning(config, generation, survivors))
+            elif config.search:
+                spent["search"] += config.search.rounds * (config.search.candidates + 1) * survivors * evaluation
+    return Cost(**spent)

@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from evogymcm._settings import check_count, check_number
 from evogymcm.body import SAMPLE_WEIGHTS, Body, check_stiffness, mutate_body
 
 __all__ = ["Design", "Individual", "mutate_design"]
@@ -46,11 +45,9 @@ class Design:
         """The body's codes as digits, row-major: what counts as the same body. Stiffness plays no part (EvoGym)."""
         return "".join(str(code) for code in self.body.grid.ravel())
 
-    def in_arm(self, arm: str, prescribed: float) -> "Design":
-        """Returns the design as an arm of co-design simulates it; in "prescribed" all voxels have one stiffness."""
-        if arm != "prescribed":
-            return self
-        return Design(self.body, np.where(self.body.occupancy, prescribed, 1.0))
+    def at(self, stiffness: float) -> "Design":
+        """Returns the design with one stiffness on all voxels, as `CodesignConfig.stiffness` says; as it is at 1."""
+        return self if stiffness == 1.0 else Design(self.body, np.where(self.body.occupancy, stiffness, 1.0))
 
     def record(self) -> dict[str, Any]:
         """Returns the design as JSON has it; `from_record` reads it back."""
@@ -83,7 +80,7 @@ class Individual:
         index: its number, counted from 0 in the order of proposal.
         design: body and stiffness.
         parent: index of the individual that it was mutated from, None for a random one.
-        generation: in which it was proposed, counted from 0.
+        generation: when it was proposed, counted from 0.
         fitness: the best score of its training, None before it is told.
     """
 
@@ -120,8 +117,3 @@ def mutate_design(
     if body is None or parent.stiffness is None:
         return None if body is None else Design(body)
     return Design(body, np.where(body.grid == parent.body.grid, parent.stiffness, 1.0))
-
-
-def check_mutation(rate: float, attempts: int) -> tuple[float, int]:
-    """Returns both as Python has them; raises a ValueError where `mutate_body` would, or nothing would ever change."""
-    return check_number("mutation_rate", rate, above=0.0, high=1.0), check_count("attempts", attempts)

@@ -1,17 +1,16 @@
 """EvoGym's genetic algorithm over bodies (Bhatia et al., 2021)."""
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Mapping
+from typing import Any, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from evogymcm._settings import check_count
-from evogymcm.algos.codesign.body_search import DesignSearch
-from evogymcm.algos.codesign.design import Design, Individual, check_mutation, mutate_design
-from evogymcm.body import SAMPLE_WEIGHTS
+from evogymcm.algos.codesign.body_search import BodySearchOptions, DesignSearch
+from evogymcm.algos.codesign.design import Individual
 
-__all__ = ["GeneticAlgorithm", "survivor_count"]
+__all__ = ["GeneticAlgorithm", "check_population", "survivor_count"]
 
 
 def survivor_count(population: int, budget: int, n_designs: int) -> int:
@@ -25,6 +24,14 @@ def survivor_count(population: int, budget: int, n_designs: int) -> int:
     # In integers: rounding errors of 0.6 must not add a survivor. -(-a // b) is the ceiling of a / b.
     share = -(-3 * population * (budget - n_designs - 1) // (5 * max(budget - 1, 1)))
     return min(max(2, share), population)
+
+
+def check_population(population: int, budget: int) -> None:
+    """Raises a ValueError where a population is larger than the budget, or too small for children."""
+    if population > budget:
+        raise ValueError(f"population: got {population}, expected 1 to {budget} (the budget of bodies)")
+    if 3 > population < budget:
+        raise ValueError(f"population: got {population}, expected at least 3, since 2 survive")
 
 
 class GeneticAlgorithm(DesignSearch):
@@ -47,60 +54,29 @@ class GeneticAlgorithm(DesignSearch):
 
     Args:
         shape: rows and columns of the bodies.
-        population: P, individuals in a generation.
         budget: M, bodies proposed in all.
-        seed: of all random draws.
-        mutation_rate: probability that a cell is drawn anew, see `mutate_body`.
-        attempts: at a valid mutant, before another parent is drawn.
-        carries_stiffness: whether stiffness belongs to the design (the invariant setting).
+        population: P, individuals in a generation.
         age_protection: A, in generations.
-        weights: see `DesignSearch`.
-
-    Attributes:
-        n_survivors: how many of the present population survive, or have just survived.
+        options: those of `DesignSearch`: seed, mutation_rate, attempts, carries_stiffness, weights.
 
     Raises:
-        ValueError: The population is larger than the budget, or too small for children; a rate is not a probability, or
-            a count is out of range.
+        ValueError: The population is larger than the budget, or too small for children; or as `DesignSearch`.
     """
 
     def __init__(
         self,
         shape: tuple[int, int],
-        population: int,
         budget: int,
+        population: int,
         *,
-        seed: int,
-        mutation_rate: float = 0.1,
-        attempts: int = 50,
-        carries_stiffness: bool = False,
         age_protection: int = 0,
-        weights: Sequence[float] = SAMPLE_WEIGHTS,
+        **options: Unpack[BodySearchOptions],
     ) -> None:
-        population, budget = check_count("population", population), check_count("budget", budget)
-        if population > budget:
-            raise ValueError(f"population: got {population}, expected 1 to {budget} (the budget of bodies)")
-        if 3 > population < budget:
-            raise ValueError(f"population: got {population}, expected at least 3, since 2 survive")
-        age_protection = check_count("age_protection", age_protection, 0)
-        mutation_rate, attempts = check_mutation(mutation_rate, attempts)
-        settings = {
-            "population": population,
-            "mutation_rate": mutation_rate,
-            "attempts": attempts,
-            "age_protection": age_protection,
-        }
-        super().__init__(
-            shape, budget, seed=seed, carries_stiffness=carries_stiffness, settings=settings, weights=weights
-        )
-        self.population_size, self.mutation_rate, self.attempts = population, mutation_rate, attempts
-        self.age_protection = age_protection
+        self.age_protection = check_count("age_protection", age_protection, 0)
+        settings = {"age_protection": self.age_protection}
+        super().__init__(shape, budget, population, settings=settings, **options)
+        check_population(self.population_size, self.budget)
         self._mutants: list[list[Individual]] = []  # of the next children, waiting to be chosen from
-
-    @property
-    def n_survivors(self) -> int:
-        """How many of the present population survive, known before its fitness."""
-        return survivor_count(self.population_size, self.budget, self.n_designs)
 
     def mutants(self, count: int) -> list[list[Individual]]:
         """Returns `count` mutants of one parent for each child of the next generation, to `choose` from.
@@ -125,7 +101,7 @@ class GeneticAlgorithm(DesignSearch):
                 parent = parents[self._rng.integers(len(parents))]
                 group = []
                 for _ in range(count):
-                    design, _ = self._new(lambda: self._child([parent]), taken)  # noqa: B023 - called at once
+                    design, _ = self._new(lambda: self._mutant([parent]), taken)  # noqa: B023 - called at once
                     taken.add(design.key)
                     group.append(Individual(index, design, parent.index, self.generation))
                 self._mutants.append(group)
@@ -167,16 +143,10 @@ class GeneticAlgorithm(DesignSearch):
             return
         parents = self.survivors
         self._population = list(parents)  # a copy: children join it, and must not become parents yet
-        self._fill(self.population_size - len(parents), lambda: self._child(parents))
-
-    def _child(self, parents: list[Individual]) -> tuple[Design | None, int]:
-        """A mutant of one of the parents, for `_fill`."""
-        parent = parents[self._rng.integers(len(parents))]
-        settings = (self.mutation_rate, self.attempts, self.weights)
-        return mutate_design(parent.design, self._rng, *settings), parent.index
+        self._fill(self.population_size - len(parents), lambda: self._mutant(parents))
 
     def _select(self) -> list[Individual]:
-        count = self.n_survivors
+        count = survivor_count(self.population_size, self.budget, self.n_designs)
         newest = self.generation - self.age_protection
         young = [item for item in self._population if item.generation > newest][: count // 2]
         protected = {item.index for item in young}

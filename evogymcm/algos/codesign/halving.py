@@ -1,9 +1,8 @@
 """Budgets of training by successive halving."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import pairwise
-from math import ceil, isfinite
+from math import ceil
 
 from evogymcm._settings import check_numbers
 
@@ -34,35 +33,14 @@ class HalvingSchedule:
         if len(self.keep) != len(self.rungs) or not all(0.0 < share <= 1.0 for share in self.keep):
             raise ValueError(f"keep: got {self.keep}, expected {len(self.rungs)} shares, above 0 and at most 1")
 
-    def count(self, rung: int, n_bodies: int, at_least: int = 1) -> int:
-        """Returns how many of `n_bodies` go on after a rung: the share kept, rounded up, never below `at_least`."""
-        # Rounded before the ceiling: 0.07 * 100 is above 7 in floats.
-        return min(max(at_least, ceil(round(self.keep[rung] * n_bodies, 9))), n_bodies)
+    def count(self, rung: int, n_bodies: int) -> int:
+        """Returns how many of `n_bodies` go on after a rung: the share kept, rounded up."""
+        return ceil(round(self.keep[rung] * n_bodies, 9))  # rounded before: 0.07 * 100 is above 7 in floats
 
-    def promote(self, fitness: Mapping[int, float], rung: int, at_least: int = 1) -> list[int]:
-        """Returns the indices of the bodies that go on, best first; of equals, those that come first in `fitness`.
-
-        Args:
-            fitness: of the bodies that reached the rung, by index.
-            rung: which one, counted from 0.
-            at_least: fewest that go on: as many as selection needs beyond bodies that were trained before.
-
-        Raises:
-            ValueError: There is no such rung, `at_least` is below 1, or a fitness is not finite.
-        """
-        if not 0 <= rung < len(self.rungs):
-            raise ValueError(f"rung: got {rung}, expected 0 to {len(self.rungs) - 1}")
-        if at_least < 1:
-            raise ValueError(f"at_least: got {at_least}, expected at least 1")
-        if not all(isfinite(value) for value in fitness.values()):
-            raise ValueError(f"fitness: got {dict(fitness)}, all must be finite")
-        ranked = sorted(fitness, key=lambda index: -fitness[index])
-        return ranked[: self.count(rung, len(ranked), at_least)]
-
-    def cost(self, n_bodies: int, at_least: int = 1) -> float:
+    def cost(self, n_bodies: int) -> float:
         """Returns the training of `n_bodies` in full budgets: `n_bodies` without halving."""
         total, reached = 0.0, 0.0
         for rung, share in enumerate(self.rungs):
             total += n_bodies * (share - reached)
-            n_bodies, reached = self.count(rung, n_bodies, at_least), share
+            n_bodies, reached = self.count(rung, n_bodies), share
         return total + n_bodies * (1.0 - reached)

@@ -6,13 +6,12 @@ A policy is a mapping as `train` saves it, of one design: its form, and the weig
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
 import torch
-from torchrl.envs import EnvBase
 
-from evogymcm._settings import check_choice, check_count
 from evogymcm.algos.codesign.body_ppo import BodyPPOConfig, check_body_ppo
 from evogymcm.algos.codesign.design import Design
 from evogymcm.algos.learning.outcome import Progress, TrainResult
@@ -20,63 +19,17 @@ from evogymcm.algos.learning.stacking import stack_states, take_state
 from evogymcm.algos.learning.trainer import Trainer
 from evogymcm.algos.runs.folder import RunFolder
 from evogymcm.envs import SoftRobotEnv
-from evogymcm.envs.dealing import MATERIALS
-from evogymcm.sim.scene import EDGE_RULES
 
-__all__ = [
-    "Arena",
-    "Policy",
-    "Trained",
-    "exploring",
-    "stack_policies",
-    "train_designs",
-]
+__all__ = ["MakeEnv", "Policy", "Trained", "exploring", "holding", "stack_policies", "train_designs"]
 
 Policy = dict[str, Any]
+MakeEnv = Callable[..., SoftRobotEnv]  # all but bodies, their number and stiffness, and the seed is said already
 
 
-@dataclass(frozen=True)
-class Arena:
-    """Where designs are trained and scored.
-
-    Attributes:
-        task: id of the task.
-        material: "reactive" or "invariant".
-        edge_rule: how stiffness acts on shared edges.
-        num_threads: of the simulator; None for all cores.
-
-    Raises:
-        ValueError: There is no such material or rule, or no thread.
-    """
-
-    task: str
-    material: str
-    edge_rule: str = "mean_factor"
-    num_threads: int | None = 1
-
-    def __post_init__(self) -> None:
-        check_choice("material", self.material, MATERIALS)
-        check_choice("edge_rule", self.edge_rule, EDGE_RULES)
-        if self.num_threads is not None:
-            check_count("num_threads", self.num_threads)
-
-    def make(self, designs: Sequence[Design], copies: int = 1, seed: int = 0) -> SoftRobotEnv:
-        """Returns the worlds of a population: `copies` of each design, world w holding design w % D.
-
-        Raises:
-            ValueError: There is no such task, or a body does not fit into the task's world.
-        """
-        fields = None if self.material == "reactive" else [design.field for design in designs]
-        return SoftRobotEnv(
-            self.task,
-            [design.body for design in designs],
-            copies * len(designs),
-            material=self.material,
-            stiffness=fields,
-            edge_rule=self.edge_rule,
-            seed=seed,
-            num_threads=self.num_threads,
-        )
+def holding(make_env: MakeEnv, designs: Sequence[Design]) -> partial[SoftRobotEnv]:
+    """Returns what makes environments of designs, for `num_worlds` and `seed`; world w holds design w % D."""
+    fields = None if all(design.stiffness is None for design in designs) else [design.field for design in designs]
+    return partial(make_env, bodies=[design.body for design in designs], stiffness=fields)
 
 
 @dataclass(frozen=True)
@@ -99,43 +52,38 @@ class Trained:
 
 
 def train_designs(
-    arena: Arena,
+    make_env: MakeEnv,
     designs: Sequence[Design],
     ppo: BodyPPOConfig,
     *,
     run: RunFolder | None = None,
-    start_from: Sequence[Policy] | None = None,
+    initial: Sequence[Policy] | None = None,
     progress: Callable[[Progress], None] | None = None,
     should_stop: Callable[[], bool] | None = None,
 ) -> Trained:
     """Trains all designs at once in one population.
 
     Args:
-        arena: where.
+        make_env: makes environments of given bodies, such as `partial(SoftRobotEnv, "Walker-v0", material="reactive")`.
         designs: D designs.
         ppo: settings for one design. With `sharing="independent"` each has its own policy, with "shared" all have one.
         run: where to keep what a stopped training goes on from.
-        start_from: a policy for each design to start from, the same for all where they share one; None for fresh ones.
+        initial: a policy for each design to start from, the same for all where they share one; None for fresh ones.
         progress: see `train`.
         should_stop: see `train`.
 
     Raises:
         ValueError: `ppo` is a `PPOConfig`, whose env-steps and worlds are not those of one design; or there is not one
-            policy for each design, or a shared one is to start from different ones.
+            policy for each design, or a shared one is to start from different ones; or designs have stiffness where
+            policies set it.
     """
     check_body_ppo(ppo)
     n = len(designs)
-    if start_from is not None and len(start_from) != n:
-        raise ValueError(f"start_from: got {len(start_from)} policies, expected one for each of {n} designs")
-    config = ppo.of_bodies(n)
-
-    def make_env(*, num_worlds: int, seed: int) -> EnvBase:
-        return arena.make(designs, num_worlds // n, seed)
-
-    start = None if start_from is None else stack_policies(start_from, ppo.sharing)
-    trainer = Trainer(make_env, config)
-    result = trainer.train(run=run, progress=progress, should_stop=should_stop, initial=start)
-    return _apart(result, n)
+    if initial is not None and len(initial) != n:
+        raise ValueError(f"initial: got {len(initial)} policies, expected one for each of {n} designs")
+    start = None if initial is None else stack_policies(initial, ppo.sharing)
+    trainer = Trainer(holding(make_env, designs), ppo.of_bodies(n))
+    return _apart(trainer.train(run=run, progress=progress, should_stop=should_stop, initial=start), n)
 
 
 def exploring(policy: Policy, std: float) -> Policy:
@@ -149,7 +97,7 @@ def stack_policies(policies: Sequence[Policy], sharing: str) -> Policy:
     first = policies[0]
     if sharing == "shared":
         if not all(_is_same(first, policy) for policy in policies[1:]):
-            raise ValueError("start_from: got different policies, but a shared policy can start from one only")
+            raise ValueError("initial: got different policies, but a shared policy can start from one only")
         return first
     stacked = {name: stack_states([policy[name] for policy in policies]) for name in ("actor", "critic")}
     return {"form": first["form"] | {"copies": len(policies)}, **stacked}

@@ -1,4 +1,4 @@
-"""The table of a co-design run, and the controllers that it goes on with."""
+"""The table of a co-design run, and the policies that it goes on with."""
 
 from collections.abc import Collection, Mapping
 from typing import Any
@@ -11,83 +11,89 @@ __all__ = ["Ledger"]
 
 
 class Ledger:
-    """Rows of all that happened to individuals, the controllers and returns of those alive, and the best so far.
+    """Rows of all that happened to individuals, their policies, and the best individual so far.
+
+    A policy lies in the folder once, as `policy-0007.pt`. It may be newer than the state that a killed run goes on
+    from: only fine-tuning replaces policies, and a fine-tuning that has ended is then repeated from its own checkpoint.
 
     Args:
-        run: where rows and controllers are kept as well; None keeps them in memory.
+        run: where rows and policies are kept; None keeps them in memory.
 
     Attributes:
-        policies: controllers by index that are in memory, see `policy` and `keep`.
-        returns: of the same, with the last step's reward, which fitness leaves out.
         rows: the table.
-        champion: the best individual so far with its controller, None before there is one.
+        champion: the best individual so far, None before there is one; its stored policy is the one that it was best
+            with, since no policy gives way to a worse one.
     """
 
     def __init__(self, run: RunFolder | None = None) -> None:
         self.run = run
-        self.policies: dict[int, Policy] = {}
-        self.returns: dict[int, float] = {}
         self.rows: list[dict[str, Any]] = []
-        self.champion: tuple[Individual, Policy] | None = None
+        self.champion: Individual | None = None
+        self._policies: dict[int, Policy] = {}  # without a folder
+        self._returns: dict[int, float] = {}  # with the last step's reward, which fitness leaves out
 
     @property
     def best(self) -> float | None:
         """The best fitness so far, None before there is one."""
-        return None if self.champion is None else self.champion[0].fitness
+        return None if self.champion is None else self.champion.fitness
 
     def policy(self, index: int) -> Policy:
-        """Returns an individual's controller, from memory or from the folder.
+        """Returns an individual's policy.
 
         Raises:
-            KeyError: It was forgotten.
+            KeyError: There is none, or it was forgotten.
         """
-        if index not in self.policies and self.run and (saved := self.run.load(f"policy-{index:04}")):
-            return saved
-        return self.policies[index]
+        saved = self.run.load(_name(index)) if self.run else self._policies.get(index)
+        if saved is None:
+            raise KeyError(f"there is no policy of individual {index}")
+        return saved
 
-    def add(self, event: str, individual: Individual, generation: int, env_steps: int) -> None:
-        """Adds a row for an individual with fitness, and stores its controller.
+    def store(self, index: int, policy: Policy) -> None:
+        """Keeps an individual's policy in place of the one that it had."""
+        if self.run:
+            self.run.save(_name(index), policy)
+        else:
+            self._policies[index] = policy
+
+    def add(self, event: str, individual: Individual, generation: int, env_steps: int, total: float | None) -> None:
+        """Adds a row for an individual with fitness.
 
         Args:
             event: "train", "search" or "finetune".
-            individual: its policy and return are there already.
-            generation: in which it happened.
-            env_steps: of all kinds, simulated so far.
+            individual: it, as it is now.
+            generation: when it happened.
+            env_steps: all that are simulated so far.
+            total: its return; None for the one that it had.
         """
         assert individual.fitness is not None
-        policy = self.policies[individual.index]
         if self.best is None or individual.fitness > self.best:
-            self.champion = (individual, policy)
+            self.champion = individual
+        if total is not None:
+            self._returns[individual.index] = total
         row = individual.record() | {"event": event, "generation_now": generation, "env_steps": env_steps}
-        row |= {"return": self.returns[individual.index], "best": self.best}
+        row |= {"return": self._returns[individual.index], "best": self.best}
         self.rows.append(row)
         if self.run:
             self.run.append(row)
-            self.run.save(f"policy-{individual.index:04}", policy)
 
     def keep(self, indices: Collection[int]) -> None:
-        """Forgets the controllers and returns of all others; the folder keeps theirs, for `policy`."""
-        self.policies = {index: policy for index, policy in self.policies.items() if index in indices}
-        self.returns = {index: value for index, value in self.returns.items() if index in indices}
+        """Forgets all other policies but the champion's; a folder keeps those of all."""
+        kept = {*indices} | ({self.champion.index} if self.champion else set())
+        self._policies = {index: policy for index, policy in self._policies.items() if index in kept}
 
     def state_dict(self) -> dict[str, Any]:
-        """Returns all but the rows, of which the folder has as many as are counted here, or more."""
-        champion = None
-        if self.champion:
-            champion = {"individual": self.champion[0].record(), "policy": self.champion[1]}
-        return {
-            "rows": len(self.rows),
-            "policies": self.policies,
-            "returns": self.returns,
-            "champion": champion,
-        }
+        """Returns what says how far the folder's table and policies count."""
+        champion = {"individual": self.champion.record()} if self.champion else None
+        return {"rows": len(self.rows), "champion": champion}
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
         """Goes on from where `state_dict` was called; rows that the folder has got since are dropped."""
         assert self.run is not None
         self.run.keep_rows(state["rows"])
         self.rows = self.run.rows()
-        self.policies, self.returns = dict(state["policies"]), dict(state["returns"])
-        if state["champion"]:
-            individual = Individual.from_record(state["champion"]["individual"])
-            self.champion = (individual, state["champion"]["policy"])
+        self._returns = {row["index"]: row["return"] for row in self.rows}
+        self.champion = Individual.from_record(state["champion"]["individual"]) if state["champion"] else None
+
+
+def _name(index: int) -> str:
+    return f"policy-{index:04}"

@@ -1,18 +1,18 @@
 """MAP-Elites (Mouret and Clune, 2015) over designs, with the archive of pyribs (Tjanaka et al., 2023)."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from math import log
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from evogymcm._settings import check_count, check_number, check_pair
-from evogymcm.algos.codesign.body_search import DesignSearch
-from evogymcm.algos.codesign.design import Design, Individual, check_mutation, mutate_design
+from evogymcm.algos.codesign.body_search import BodySearchOptions, DesignSearch
+from evogymcm.algos.codesign.design import Design, Individual
 from evogymcm.algos.codesign.stiffness_proposals import perturb_stiffness
-from evogymcm.body import SAMPLE_WEIGHTS, STIFFNESS_HIGH, STIFFNESS_LOW
+from evogymcm.body import STIFFNESS_HIGH, STIFFNESS_LOW
 
 __all__ = ["MapElites", "design_measures"]
 
@@ -36,17 +36,13 @@ class MapElites(DesignSearch):
 
     Args:
         shape: rows and columns of the bodies.
-        budget: bodies proposed in all.
-        batch: bodies proposed at a time.
-        seed: of all random draws.
-        initial: random bodies before mutants; `batch` by default, and whole batches always.
+        budget: M, bodies proposed in all.
+        population: P, bodies proposed at a time.
+        initial: random bodies before mutants; `population` by default, and whole generations always.
         dims: cells of the grid along either measure.
-        mutation_rate: probability that a cell is drawn anew, see `mutate_body`.
-        attempts: at a valid mutant, before another parent is drawn.
-        carries_stiffness: whether stiffness belongs to the design (the invariant setting).
-        probability: of a voxel's stiffness to change in a mutant.
+        probability: how likely a voxel's stiffness is to change in a mutant.
         sigma: standard deviation of that change, in the logarithm.
-        weights: see `DesignSearch`.
+        options: those of `DesignSearch`: seed, mutation_rate, attempts, carries_stiffness, weights.
 
     Attributes:
         archive: the `ribs.archives.GridArchive`, for its statistics and plots; its solutions are indices.
@@ -60,46 +56,33 @@ class MapElites(DesignSearch):
         self,
         shape: tuple[int, int],
         budget: int,
-        batch: int,
+        population: int,
         *,
-        seed: int,
         initial: int | None = None,
         dims: tuple[int, int] = (10, 10),
-        mutation_rate: float = 0.1,
-        attempts: int = 50,
-        carries_stiffness: bool = True,
         probability: float = 0.15,
         sigma: float = 0.2,
-        weights: Sequence[float] = SAMPLE_WEIGHTS,
+        **options: Unpack[BodySearchOptions],
     ) -> None:
         try:
             from ribs.archives import GridArchive
         except ImportError as error:
             raise ImportError("MapElites needs pyribs: pip install evogymcm[qd]") from error
-        batch = check_count("batch", batch)
-        initial = batch if initial is None else check_count("initial", initial)
+        population = check_count("population", population)
+        self.initial = population if initial is None else check_count("initial", initial)
         across, down = check_pair("dims", dims)
         dims = check_count("dims", across), check_count("dims", down)
-        mutation_rate, attempts = check_mutation(mutation_rate, attempts)
-        probability = check_number("probability", probability, low=0.0, high=1.0)
-        sigma = check_number("sigma", sigma, low=0.0)
+        self.probability = check_number("probability", probability, low=0.0, high=1.0)
+        self.sigma = check_number("sigma", sigma, low=0.0)
         settings = {
-            "batch": batch,
-            "initial": initial,
+            "initial": self.initial,
             "dims": list(dims),
-            "mutation_rate": mutation_rate,
-            "attempts": attempts,
-            "probability": probability,
-            "sigma": sigma,
+            "probability": self.probability,
+            "sigma": self.sigma,
         }
-        super().__init__(
-            shape, budget, seed=seed, carries_stiffness=carries_stiffness, settings=settings, weights=weights
-        )
-        self.batch, self.initial = batch, initial
-        self.mutation_rate, self.attempts = mutation_rate, attempts
-        self.probability, self.sigma = probability, sigma
+        super().__init__(shape, budget, population, settings=settings, **options)
         ranges = [(0.0, 1.0), (STIFFNESS_LOW, STIFFNESS_HIGH)]
-        self.archive = GridArchive(solution_dim=1, dims=dims, ranges=ranges, seed=seed)
+        self.archive = GridArchive(solution_dim=1, dims=dims, ranges=ranges, seed=self.settings["seed"])
 
     @property
     def elites(self) -> list[Individual]:
@@ -124,10 +107,10 @@ class MapElites(DesignSearch):
 
     def _propose(self) -> None:
         if self.n_designs < self.initial:
-            self._fill(self.batch, self._random_kind)
+            self._fill(self.population_size, self._random_kind)
         else:
             parents = self.elites
-            self._fill(self.batch, lambda: self._child(parents))
+            self._fill(self.population_size, lambda: self._child(parents))
 
     def _random_kind(self) -> tuple[Design, None]:
         """A random body, with a uniform field where designs have one, for `_fill`."""
@@ -138,12 +121,11 @@ class MapElites(DesignSearch):
         return design, None
 
     def _child(self, parents: list[Individual]) -> tuple[Design | None, int]:
-        """A mutant of one of the parents, for `_fill`."""
-        parent = parents[self._rng.integers(len(parents))]
-        child = mutate_design(parent.design, self._rng, self.mutation_rate, self.attempts, self.weights)
+        """A mutant, with noise on the field that it inherits, for `_fill`."""
+        child, parent = self._mutant(parents)
         if child is not None and self.carries_stiffness:
             child = replace(child, stiffness=perturb_stiffness(child, self._rng, self.probability, self.sigma))
-        return child, parent.index
+        return child, parent
 
     def _select(self) -> list[Individual]:
         self._fill_archive()

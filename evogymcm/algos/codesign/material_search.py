@@ -1,20 +1,19 @@
 """Search for the stiffness fields of given bodies under given policies: EvoGymCM's local search, and CMA-ES."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from evogymcm._settings import check_choice, check_count, check_number
 from evogymcm.algos.codesign.body_search import check_settings
+from evogymcm.algos.codesign.config import SearchConfig
 from evogymcm.algos.codesign.design import Design, Individual
-from evogymcm.algos.codesign.stiffness_proposals import CMA, NOISE, HillClimber, Proposer, load_cma
+from evogymcm.algos.codesign.stiffness_proposals import CMA, HillClimber, Proposer
 
-__all__ = ["ACCEPTANCE", "PROPOSALS", "MaterialSearch", "Materials", "check_search"]
+__all__ = ["MaterialSearch", "Materials"]
 
-ACCEPTANCE = ("reference", "paper")
-PROPOSALS = ("hill-climbing", "cma")
 _MARGIN = 0.02  # of the best score's size: the least gain that the reference code accepts
 
 Field = NDArray[np.float64]
@@ -36,16 +35,10 @@ class MaterialSearch:
 
     Args:
         individuals: the survivors, of one shape, with their fitness: the score that their fields have to beat.
-        seed: of all random draws; with each generation another one, such as (seed, generation).
-        rounds: proposals of each survivor, one after another.
-        candidates: proposals of each survivor in a round, evaluated together.
-        probability: of a voxel to be changed in a proposal.
-        sigma: standard deviation of its noise; with CMA-ES, the initial step in the logarithm of stiffness.
-        acceptance: "reference" takes a new score R' over the best R if R' >= R + 0.02 |R| (EvoGymCM's reference code),
-            "paper" if R' > R.
-        noise: see `perturb_stiffness`; CMA-ES has its own.
-        proposal: "hill-climbing", or "cma" for one CMA-ES per survivor with a population of `candidates` (needs the
-            extra `evogymcm[cma]`).
+        seed: where all random draws come from; with each generation another one, such as (seed, generation).
+        options: the fields of `SearchConfig`. Acceptance "reference" takes a new score R' over the best R if
+            R' >= R + 0.02 |R| (EvoGymCM's reference code), "paper" if R' > R. Proposal "cma" is one CMA-ES per survivor
+            with a population of `candidates` (needs the extra `evogymcm[cma]`), and has noise of its own.
 
     Attributes:
         settings: all of them, of JSON types.
@@ -62,35 +55,18 @@ class MaterialSearch:
         individuals: Sequence[Individual],
         *,
         seed: int | Sequence[int],
-        rounds: int = 20,
-        candidates: int = 1,
-        probability: float = 0.15,
-        sigma: float = 0.2,
-        acceptance: str = "reference",
-        noise: str = "multiplicative",
-        proposal: str = "hill-climbing",
+        **options: Any,
     ) -> None:
-        options = check_search(
-            {
-                "rounds": rounds,
-                "candidates": candidates,
-                "probability": probability,
-                "sigma": sigma,
-                "acceptance": acceptance,
-                "noise": noise,
-                "proposal": proposal,
-            }
-        )
+        self.config = SearchConfig(**options)
         _check_individuals(individuals)
         self.individuals = list(individuals)
-        self.rounds, self.candidates, self.acceptance = options["rounds"], options["candidates"], acceptance
         records = [individual.record() for individual in self.individuals]
-        self.settings = {"seed": np.asarray(seed).tolist(), **options, "individuals": records}
+        self.settings = {"seed": np.asarray(seed).tolist(), **asdict(self.config), "individuals": records}
         self._start()
 
     def _start(self) -> None:
         """Sets the state before the first round."""
-        options = self.settings
+        config = self.config
         self.n_rounds = 0
         self._best = [individual.design for individual in self.individuals]
         self._scores = np.array([individual.fitness for individual in self.individuals], dtype=np.float64)
@@ -99,17 +75,18 @@ class MaterialSearch:
         self._asked: list[list[Field]] = []
         self._proposers: list[Proposer] = []
         for individual in self.individuals:
-            rng = np.random.default_rng(np.random.SeedSequence(options["seed"], spawn_key=(individual.index,)))
-            if options["proposal"] == "cma":
-                self._proposers.append(CMA(individual.design, rng, self.candidates, options["sigma"]))
+            seeds = np.random.SeedSequence(self.settings["seed"], spawn_key=(individual.index,))
+            rng = np.random.default_rng(seeds)
+            if config.proposal == "cma":
+                self._proposers.append(CMA(individual.design, rng, config.candidates, config.sigma))
             else:
-                arguments = (options["probability"], options["sigma"], options["noise"])
-                self._proposers.append(HillClimber(rng, self.candidates, *arguments))
+                arguments = (config.candidates, config.probability, config.sigma, config.noise)
+                self._proposers.append(HillClimber(rng, *arguments))
 
     @property
     def is_finished(self) -> bool:
         """Whether all rounds have been told."""
-        return self.n_rounds >= self.rounds
+        return self.n_rounds >= self.config.rounds
 
     @property
     def best(self) -> Materials:
@@ -130,7 +107,7 @@ class MaterialSearch:
             RuntimeError: All rounds are over.
         """
         if self.is_finished:
-            raise RuntimeError(f"ask: all {self.rounds} rounds are over")
+            raise RuntimeError(f"ask: all {self.config.rounds} rounds are over")
         if not self._asked:
             self._asked = [proposer.ask(best) for proposer, best in zip(self._proposers, self._best, strict=True)]
         return np.stack([field for fields in self._asked for field in fields])
@@ -146,10 +123,10 @@ class MaterialSearch:
             raise RuntimeError("tell: nothing has been asked for")
         values = np.array(scores, dtype=np.float64)
         accepted = np.zeros(len(self.individuals), dtype=bool)
-        n = len(self.individuals) * self.candidates
+        n = len(self.individuals) * self.config.candidates
         if values.shape != (n,) or not np.isfinite(values).all():
             raise ValueError(f"scores: got {values}, expected {n} finite numbers")
-        for i, own in enumerate(values.reshape(-1, self.candidates)):
+        for i, own in enumerate(values.reshape(-1, self.config.candidates)):
             self._proposers[i].tell(own)
             pick = int(own.argmax())
             accepted[i] = self._accepts(own[pick], self._scores[i])
@@ -165,7 +142,7 @@ class MaterialSearch:
     def _accepts(self, score: float, best: float) -> bool:
         """Whether a score replaces the best so far."""
         # With R = 0 the reference code's rule takes an equal score too.
-        return score > best if self.acceptance == "paper" else score >= best + _MARGIN * abs(best)
+        return score > best if self.config.acceptance == "paper" else score >= best + _MARGIN * abs(best)
 
     def state_dict(self) -> dict[str, Any]:
         """Returns the settings and all scores told, of JSON types: with them the search can be repeated."""
@@ -182,25 +159,6 @@ class MaterialSearch:
         for scores in state["told"]:
             self.ask()
             self.tell(scores)
-
-
-def check_search(options: Mapping[str, Any]) -> dict[str, Any]:
-    """Returns the options of a search, all but individuals and seed, as Python has them.
-
-    Raises:
-        ValueError: A value is of the wrong kind or out of range, or "cma" has fewer than 2 candidates.
-        ImportError: The package for CMA-ES is missing.
-    """
-    choices = {"acceptance": ACCEPTANCE, "noise": NOISE, "proposal": PROPOSALS}
-    checked: dict[str, Any] = {name: check_count(name, options[name]) for name in ("rounds", "candidates")}
-    checked["probability"] = check_number("probability", options["probability"], low=0.0, high=1.0)
-    checked["sigma"] = check_number("sigma", options["sigma"], above=0.0)
-    checked |= {name: check_choice(name, options[name], allowed) for name, allowed in choices.items()}
-    if checked["proposal"] == "cma":
-        if checked["candidates"] < 2:
-            raise ValueError(f"candidates: got {checked['candidates']}, proposal 'cma' needs at least 2")
-        load_cma()
-    return checked
 
 
 def _check_individuals(individuals: Sequence[Individual]) -> None:

@@ -1,4 +1,4 @@
-"""Independent co-design runs (seeds, tasks, arms) on any executor: processes of this machine, Dask, Ray.
+"""Independent co-design runs (seeds, tasks, materials) on any executor: processes of this machine, Dask, Ray.
 
     with ProcessPoolExecutor() as executor:
         for folder, result in codesign_all(configs, Path("runs"), executor): ...
@@ -10,12 +10,13 @@ file system; several threads in one are as good as several workers.
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Executor, Future, as_completed
 from concurrent.futures import wait as futures_wait
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from evogymcm.algos.codesign.run import CodesignConfig, CodesignResult, codesign
-from evogymcm.algos.runs.folder import RunFolder
+from evogymcm.algos.codesign.codesigning import codesign
+from evogymcm.algos.codesign.config import CodesignConfig
+from evogymcm.algos.codesign.outcome import CodesignResult
+from evogymcm.algos.codesign.start import check_start
 from evogymcm.envs.tasks import Task, as_task, register_task
 
 __all__ = ["RayExecutor", "codesign_all", "codesign_in"]
@@ -25,13 +26,13 @@ def codesign_in(folder: Path, config: CodesignConfig, task: Task | None = None) 
     """Runs co-design in a folder, or goes on with what is there; what a worker does.
 
     Args:
-        folder: of the run.
-        config: of the run.
-        task: that the configuration names, for workers that have not registered it.
+        folder: where the run is kept.
+        config: its settings.
+        task: the one that the settings name, for workers that have not registered it.
     """
     if task is not None and task.id == config.task:  # the file of a world has no id
         register_task(task, replace=True)
-    return codesign(config, run=RunFolder(folder, asdict(config), resume=folder.exists()), should_stop=lambda: False)
+    return codesign(config, run=folder, should_stop=lambda: False)
 
 
 def codesign_all(
@@ -47,14 +48,14 @@ def codesign_all(
         executor: where they run; any `concurrent.futures.Executor`.
 
     Raises:
-        ValueError: a run cannot start (`CodesignConfig.check`), before any of them does.
+        ValueError: a run cannot start, see `codesign`, before any of them does.
         Exception: what a run raised, once the others that had ended before it have been yielded.
     """
     if not callable(getattr(executor, "submit", None)):
         raise ValueError(f"executor: got {executor!r}, expected a concurrent.futures.Executor")
     for name, config in configs.items():
         try:
-            config.check()
+            check_start(config)
         except ValueError as error:
             raise ValueError(f"{name}: {error}") from None
     futures: dict[Future, str] = {}
@@ -80,7 +81,8 @@ class RayExecutor(Executor):
     Where the program has a Ray session already, that is used, and outlives the executor; else one is opened.
 
     Args:
-        options: of `ray.init`, where a session is opened, such as `address="auto"`; a new local cluster by default.
+        options: arguments of `ray.init`, where a session is opened, such as `address="auto"`; by default a new local
+            cluster.
 
     Raises:
         ImportError: the package ray is missing.
@@ -111,7 +113,7 @@ class RayExecutor(Executor):
         """Takes no more calls, and ends the session if it was this executor that opened it.
 
         Args:
-            wait: for the calls under way; without, the session goes on with them until the program ends.
+            wait: whether to wait for the calls under way; else the session goes on with them until the program ends.
             cancel_futures: whether calls that have not ended are cancelled.
         """
         self._is_shut = True

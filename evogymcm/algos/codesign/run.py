@@ -1,74 +1,26 @@
-"""Co-design of body, material and control: the outer loops of EvoGymCM, with their ablations.
+"""One run of co-design, phase by phase: the outer loops of EvoGymCM, with their ablations."""
 
-Four arms: "reactive" (bodies evolve, policies set stiffness), "fixed" (the same with stiffness 1), "invariant" (bodies
-and stiffness fields evolve, with material local search and fine-tuning of survivors) and "prescribed" (the same with
-one given stiffness, without search).
-"""
-
-from collections.abc import Callable, Mapping
-from contextlib import nullcontext
-from dataclasses import asdict, dataclass, replace
-from itertools import pairwise
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, replace
 
 import numpy as np
 
-from evogymcm.algos.codesign.body_ppo import BodyPPOConfig
-from evogymcm.algos.codesign.config import ARMS, CodesignConfig, SearchConfig
+from evogymcm.algos.codesign.config import CodesignConfig
 from evogymcm.algos.codesign.design import Design, Individual
 from evogymcm.algos.codesign.genetic import GeneticAlgorithm
 from evogymcm.algos.codesign.inner_loop import Policy, Trained, exploring, train_designs
 from evogymcm.algos.codesign.ledger import Ledger
 from evogymcm.algos.codesign.material_search import MaterialSearch
-from evogymcm.algos.codesign.scoring import score_alone, score_mutants, score_proposals
-from evogymcm.algos.learning.seeding import derived_seed
-from evogymcm.algos.runs.folder import RunFolder, stop_on_interrupt
-from evogymcm.algos.runs.origin import find_origin
-from evogymcm.algos.runs.record import RunRecord, best_curve
+from evogymcm.algos.codesign.outcome import CodesignProgress
+from evogymcm.algos.codesign.plan import Training, finetuning, phases, search_seed, trainings
+from evogymcm.algos.codesign.scoring import score_alone, score_proposals, score_together
+from evogymcm.algos.codesign.start import check_start, env_maker, make_body_search
+from evogymcm.algos.runs.folder import RunFolder
 
-__all__ = ["ARMS", "Codesign", "CodesignConfig", "CodesignProgress", "CodesignResult", "SearchConfig", "codesign"]
+__all__ = ["Codesign"]
 
 _STATE = "codesign"
-_TRAIN, _SEARCH, _FINETUNE = 0, 1, 2  # stages of a generation with draws of their own
 _SCREENED = 8  # mutants of a child that are played at a time, between looks whether to stop
-
-
-@dataclass(frozen=True)
-class CodesignProgress:
-    """State of a run, told after every update of a policy and every round of a search.
-
-    Attributes:
-        generation: counted from 0.
-        phase: "screen", "train", "search" or "finetune".
-        env_steps: simulated so far, of all kinds.
-        n_designs: bodies proposed so far.
-        best: the best fitness so far, None before there is one.
-    """
-
-    generation: int
-    phase: str
-    env_steps: int
-    n_designs: int
-    best: float | None
-
-
-@dataclass(frozen=True)
-class CodesignResult:
-    """Outcome of a run.
-
-    Attributes:
-        best: the best individual; None where the run was stopped before there was one.
-        policy: its controller.
-        rows: the table, see `Codesign`.
-        env_steps: simulated in all.
-        finished: False if it was stopped.
-    """
-
-    best: Individual | None
-    policy: Policy | None
-    rows: list[dict[str, Any]]
-    env_steps: int
-    finished: bool
 
 
 class Codesign:
@@ -83,29 +35,32 @@ class Codesign:
         run: where everything is kept; None keeps it in memory.
 
     Raises:
-        ValueError: A run of these settings cannot start, see `CodesignConfig.check`.
+        ValueError: A run of these settings cannot start, see `check_start`.
+        ImportError: A package that they need is missing.
     """
 
     def __init__(self, config: CodesignConfig, run: RunFolder | None = None) -> None:
-        config.check()
+        check_start(config)
         self.config, self.run = config, run
-        self.arena, self.search = config.make_arena(), config.make_search()
+        self.make_env, self.body_search = env_maker(config), make_body_search(config)
         self.env_steps, self.phase = 0, "train"
         self.ledger = Ledger(run)
         self._tell: Callable[[CodesignProgress], None] = lambda progress: None
         self._is_stopped: Callable[[], bool] = lambda: False
         if run and (saved := run.load(_STATE)):
-            self._load(saved)
+            self.body_search.load_state_dict(saved["search"])
+            self.env_steps, self.phase = saved["env_steps"], saved["phase"]
+            self.ledger.load_state_dict(saved)
         elif run:
             run.keep_rows(0)  # of a run that was killed before its first state was saved
 
     @property
     def is_finished(self) -> bool:
         """Whether a budget is used and all phases of the last generation are done."""
-        if self.phase != self._first_phase:
+        if self.phase != phases(self.config, self.generation)[0]:
             return False
         limit = self.config.max_env_steps
-        return self.search.is_finished or (limit is not None and self.env_steps >= limit)
+        return self.body_search.is_finished or (limit is not None and self.env_steps >= limit)
 
     def advance(
         self,
@@ -114,62 +69,54 @@ class Codesign:
     ) -> bool:
         """Does the next phase; returns False where it was stopped on the way, to be gone on with later."""
         self._tell, self._is_stopped = progress or self._tell, should_stop or self._is_stopped
-        phases = {
+        work = {
             "screen": self._screen,
             "train": self._train,
             "search": self._search_materials,
             "finetune": self._finetune,
         }
-        done = phases[self.phase]()
-        if done:
-            needed = self.search.survivors if self.run else self.search.parents  # a folder has those of all
-            self.ledger.keep({individual.index for individual in needed})
-            if self.run:
-                self.run.save(_STATE, self._state())
-                for checkpoint in self.run.path.glob("generation-*/**/*.pt"):
-                    checkpoint.unlink()  # their policies are kept; the learning curves stay
-        return done
+        generation = self.generation  # the search over bodies counts on when fitness is told
+        if not work[self.phase]():
+            return False
+        order = phases(self.config, generation, len(self.body_search.survivors))
+        later = order[order.index(self.phase) + 1 :]
+        self.phase = (later or phases(self.config, generation + 1))[0]
+        self.ledger.keep({individual.index for individual in self.body_search.parents})
+        if self.run:
+            state = {"search": self.body_search.state_dict(), "env_steps": self.env_steps, "phase": self.phase}
+            self.run.save(_STATE, state | self.ledger.state_dict())
+            for checkpoint in self.run.path.glob("generation-*/**/*.pt"):
+                checkpoint.unlink()  # their policies are kept; the learning curves stay
+        return True
 
     @property
     def generation(self) -> int:
         """The generation that the present phase works on, counted from 0."""
-        # The search counts on when fitness is told; its survivors are then searched and fine-tuned.
-        return self.search.generation - (self.phase in ("search", "finetune"))
-
-    @property
-    def _first_phase(self) -> str:
-        """Of the next generation; the first one has no parents whose mutants could be screened."""
-        return "screen" if self.config.mutants > 1 and self.search.generation else "train"
+        return self.body_search.generation - (self.phase in ("search", "finetune"))
 
     def _report(self, steps: int = 0) -> None:
-        place = (self.generation, self.phase, self.env_steps + steps, self.search.n_designs)
+        place = (self.generation, self.phase, self.env_steps + steps, self.body_search.n_designs)
         self._tell(CodesignProgress(*place, self.ledger.best))
 
-    def _design(self, individual: Individual) -> Design:
-        """Returns the design as it is simulated in this arm."""
-        return individual.design.in_arm(self.config.arm, self.config.prescribed)
-
-    def _folder(self, name: str, seed: int) -> RunFolder | None:
-        """Returns the folder of a training, gone on with where there is one."""
-        if self.run is None:
-            return None
-        path = self.run.path / f"generation-{self.generation:03}" / name
-        return RunFolder(path, {"generation": self.generation, "phase": name, "seed": seed}, resume=path.exists())
-
-    def _seed(self, stage: int, part: int = 0) -> int:
-        """Returns the seed of a stage of the present generation."""
-        return derived_seed(self.config.seed, self.generation, stage, part)
+    def _designs(self, individuals: Sequence[Individual]) -> list[Design]:
+        """Returns their designs as they are simulated."""
+        return [individual.design.at(self.config.stiffness) for individual in individuals]
 
     def _learn(
-        self, name: str, designs: list[Design], ppo: BodyPPOConfig, start_from: list[Policy] | None, spent: int
+        self, training: Training, designs: list[Design], initial: list[Policy] | None, spent: int = 0
     ) -> Trained:
         """Trains designs together; `spent` env-steps of the phase have gone before."""
+        folder = None
+        if self.run:
+            path = self.run.path / f"generation-{self.generation:03}" / training.name
+            settings = {"generation": self.generation, "phase": training.name, "seed": training.ppo.seed}
+            folder = RunFolder(path, settings, resume=path.exists())
         return train_designs(
-            self.arena,
+            self.make_env,
             designs,
-            ppo,
-            run=self._folder(name, ppo.seed),
-            start_from=start_from,
+            training.ppo,
+            run=folder,
+            initial=initial,
             progress=lambda state: self._report(spent + state.env_steps),
             should_stop=self._is_stopped,
         )
@@ -184,168 +131,92 @@ class Codesign:
         return policies if std is None else [exploring(policy, std) for policy in policies]
 
     def _screen(self) -> bool:
-        """Plays mutants under their parents' controllers, and takes the best of each child."""
-        assert isinstance(self.search, GeneticAlgorithm)
-        mutants = self.search.mutants(self.config.mutants)
+        """Plays mutants under their parents' policies, and takes the best of each child."""
+        assert isinstance(self.body_search, GeneticAlgorithm)
+        mutants = self.body_search.mutants(self.config.mutants)
         policies = [self.ledger.policy(index) for group in mutants if (index := group[0].parent) is not None]
-        designs = [[self._design(individual) for individual in group] for group in mutants]
+        designs = [self._designs(group) for group in mutants]
         scores, steps = [], 0
         for begin in range(0, self.config.mutants, _SCREENED):
             if self._is_stopped():
                 return False  # no more than a screening is lost
-            some, spent = score_mutants(self.arena, [group[begin : begin + _SCREENED] for group in designs], policies)
-            scores.append(some)
-            steps += spent
+            some = score_together(self.make_env, [group[begin : begin + _SCREENED] for group in designs], policies)
+            scores.append(some.score)
+            steps += some.env_steps
             self._report(steps)
-        self.search.choose(np.concatenate(scores, axis=1))
+        self.body_search.choose(np.concatenate(scores, axis=1))
         self.env_steps += steps
-        self.phase = "train"
         return True
 
     def _train(self) -> bool:
         """Trains the generation's new bodies, with successive halving where there are rungs."""
-        new = self.search.ask()
-        going, schedule = list(range(len(new))), self.config.halving()
-        designs = [self._design(individual) for individual in new]
-        policies: dict[int, Policy] = {}
-        scores = np.full(len(new), -np.inf)
-        start = self._inherited(new)
-        bounds, steps = (0.0, *schedule.rungs, 1.0), 0
-        for rung, (begin, end) in enumerate(pairwise(bounds)):
-            total = max(1, round(self.config.ppo.total_steps * (end - begin)))
-            seed = self._seed(_TRAIN, rung)
-            ppo = replace(self.config.ppo, total_steps=total, schedule=(begin, end), seed=seed)
-            trained = self._learn(f"train-{rung}", [designs[i] for i in going], ppo, start, steps)
+        new, generation = self.body_search.ask(), self.generation
+        designs, going, start, steps = self._designs(new), list(range(len(new))), self._inherited(new), 0
+        scores, policies = [-np.inf] * len(new), dict[int, Policy]()
+        for training in trainings(self.config, generation, len(new)):
+            trained = self._learn(training, [designs[i] for i in going], start, steps)
             if not trained.finished:
                 return False
             steps += trained.env_steps
-            for i, policy, score in zip(going, trained.best, trained.scores, strict=True):
+            for i, policy, score in zip(going, trained.best, trained.scores.tolist(), strict=True):
                 if score > scores[i]:
                     scores[i], policies[i] = score, policy
-            if rung < len(schedule.rungs):
-                ranked = schedule.promote({i: float(scores[i]) for i in going}, rung)
-                last = dict(zip(going, trained.last, strict=True))
-                going, start = sorted(ranked), [last[i] for i in sorted(ranked)]
-        alone = score_alone(self.arena, designs, [policies[i] for i in range(len(new))])
+            last = dict(zip(going, trained.last, strict=True))
+            going = sorted(sorted(going, key=lambda i: -scores[i])[: training.kept])
+            start = [last[i] for i in going]
+        alone = score_alone(self.make_env, designs, [policies[i] for i in range(len(new))])
         self.env_steps += steps + alone.env_steps
-        generation = self.generation
-        self.search.tell({individual.index: float(alone.score[i]) for i, individual in enumerate(new)})
+        fitness, totals = alone.score.tolist(), alone.returns.tolist()
+        self.body_search.tell({individual.index: fitness[i] for i, individual in enumerate(new)})
         for i, individual in enumerate(new):
-            self.ledger.policies[individual.index] = policies[i]
-            self.ledger.returns[individual.index] = float(alone.returns[i])
-            self._record("train", replace(individual, fitness=float(alone.score[i])), generation)
-        self.phase = "search" if self.config.arm == "invariant" and self.search.survivors else self._first_phase
+            self.ledger.store(individual.index, policies[i])
+            told = replace(individual, fitness=fitness[i])
+            self.ledger.add("train", told, generation, self.env_steps, totals[i])
         return True
 
     def _search_materials(self) -> bool:
-        """Searches the survivors' stiffness fields under their present controllers."""
-        config = self.config.search
-        survivors = self.search.survivors
-        policies = [self.ledger.policies[individual.index] for individual in survivors]
-        search = MaterialSearch(survivors, seed=self._seed(_SEARCH), **asdict(config))
-        steps = 0
+        """Searches the survivors' stiffness fields under their present policies."""
+        assert self.config.search is not None
+        survivors = self.body_search.survivors
+        policies = [self.ledger.policy(individual.index) for individual in survivors]
+        seed = search_seed(self.config, self.generation)
+        search = MaterialSearch(survivors, seed=seed, **asdict(self.config.search))
+        totals, steps = dict[int, float](), 0
         while not search.is_finished:
             if self._is_stopped():
                 return False  # no more than a search is lost
-            scores, returns, spent = score_proposals(self.arena, search, survivors, policies)
-            for i in np.flatnonzero(search.tell(scores)):
-                self.ledger.returns[survivors[i].index] = float(returns[i])
+            scores, returns, spent = score_proposals(self.make_env, search, policies)
+            totals |= {survivors[i].index: float(returns[i]) for i in np.flatnonzero(search.tell(scores))}
             steps += spent
             self._report(steps)
         self.env_steps += steps
         for individual, stiffness, score in zip(survivors, *search.best, strict=True):
             if score > (individual.fitness or 0.0) or not np.array_equal(stiffness, individual.design.field):
-                self.search.update(individual.index, stiffness=stiffness, fitness=float(score))
-        self._record_survivors("search")
-        self.phase = "finetune"
+                self.body_search.update(individual.index, stiffness=stiffness, fitness=float(score))
+        self._record_survivors(totals)
         return True
 
     def _finetune(self) -> bool:
         """Trains the survivors on, each on its present material; a policy is replaced only by a better one."""
-        survivors = self.search.survivors
-        designs = [individual.design for individual in survivors]
-        start = [self.ledger.policies[individual.index] for individual in survivors]
-        ppo = replace(self.config.finetuning(), seed=self._seed(_FINETUNE))
-        trained = self._learn("finetune", designs, ppo, start, 0)
+        survivors = self.body_search.survivors
+        designs = self._designs(survivors)
+        start = [self.ledger.policy(individual.index) for individual in survivors]
+        trained = self._learn(finetuning(self.config, self.generation, len(survivors)), designs, start)
         if not trained.finished:
             return False
-        alone = score_alone(self.arena, designs, trained.best)
+        alone = score_alone(self.make_env, designs, trained.best)
         self.env_steps += trained.env_steps + alone.env_steps
+        totals = dict[int, float]()
         for individual, policy, score, total in zip(survivors, trained.best, alone.score, alone.returns, strict=True):
             if score > (individual.fitness or 0.0):
-                self.ledger.policies[individual.index], self.ledger.returns[individual.index] = policy, float(total)
-                self.search.update(individual.index, fitness=float(score))
-        self._record_survivors("finetune")
-        self.phase = self._first_phase
+                self.ledger.store(individual.index, policy)
+                totals[individual.index] = float(total)
+                self.body_search.update(individual.index, fitness=float(score))
+        self._record_survivors(totals)
         return True
 
-    def _record_survivors(self, event: str) -> None:
-        for individual in self.search.survivors:
-            self._record(event, individual, self.generation)
-
-    def _record(self, event: str, individual: Individual, generation: int) -> None:
-        self.ledger.add(event, individual, generation, self.env_steps)
-
-    def _state(self) -> dict[str, Any]:
-        """Returns what a killed run goes on from."""
-        state = {"search": self.search.state_dict(), "env_steps": self.env_steps, "phase": self.phase}
-        return state | self.ledger.state_dict()
-
-    def _load(self, state: Mapping[str, Any]) -> None:
-        self.search.load_state_dict(state["search"])
-        self.env_steps, self.phase = state["env_steps"], state["phase"]
-        self.ledger.load_state_dict(state)
-
-
-def codesign(
-    config: CodesignConfig,
-    *,
-    run: RunFolder | None = None,
-    progress: Callable[[CodesignProgress], None] | None = None,
-    should_stop: Callable[[], bool] | None = None,
-) -> CodesignResult:
-    """Runs co-design to the end of its budget, and returns the best design with its controller.
-
-    The same settings and seed give the same result, whether or not the run was stopped and resumed in between.
-
-    Args:
-        config: settings of the run.
-        run: where to keep the table, controllers and checkpoints. A folder opened to resume is gone on with.
-        progress: called after every update of a policy and every round of a search.
-        should_stop: asked as often; by default Ctrl-C stops the run after the present update.
-
-    Raises:
-        ValueError: A run of these settings cannot start, see `CodesignConfig.check`; nothing has been simulated then.
-    """
-    with run.lock() if run else nullcontext():
-        state, origin = Codesign(config, run), find_origin() if run else {}
-        if run:
-            _record(state, origin).write(run)
-        with stop_on_interrupt() if should_stop is None else nullcontext(should_stop) as is_stopped:
-            while not state.is_finished and not is_stopped():
-                if not state.advance(progress, is_stopped):
-                    break
-        if run:
-            _record(state, origin).write(run)
-    best, policy = state.ledger.champion or (None, None)
-    return CodesignResult(best, policy, state.ledger.rows, state.env_steps, state.is_finished)
-
-
-def _record(state: Codesign, origin: Mapping[str, Any]) -> RunRecord:
-    """Returns what the run is, and what has come of it so far."""
-    config, rows, champion = state.config, state.ledger.rows, state.ledger.champion
-    return RunRecord(
-        "codesign",
-        config.task,
-        label=config.arm,
-        material=ARMS[config.arm],
-        stiffness={"fixed": 1.0, "prescribed": config.prescribed}.get(config.arm),
-        edge_rule=config.edge_rule,
-        seed=config.seed,
-        finished=state.is_finished,
-        env_steps=state.env_steps,
-        curve=best_curve(rows),
-        best=champion and champion[0].record(),
-        n_designs=len({row["index"] for row in rows}),
-        origin=origin,
-    )
+    def _record_survivors(self, totals: Mapping[int, float]) -> None:
+        """Adds rows of the present phase; `totals` are the returns that are new."""
+        for individual in self.body_search.survivors:
+            total = totals.get(individual.index)
+            self.ledger.add(self.phase, individual, self.generation, self.env_steps, total)

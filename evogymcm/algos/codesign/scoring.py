@@ -2,23 +2,23 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 
-from evogymcm.algos.codesign.design import Design, Individual
-from evogymcm.algos.codesign.inner_loop import Arena, Policy, stack_policies
+from evogymcm.algos.codesign.design import Design
+from evogymcm.algos.codesign.inner_loop import MakeEnv, Policy, holding, stack_policies
 from evogymcm.algos.codesign.material_search import MaterialSearch
 from evogymcm.algos.learning.actor import Actor, load_actor
 from evogymcm.algos.learning.evaluation import evaluate, starts_of
 from evogymcm.algos.learning.stacking import PerDesign
 from evogymcm.algos.learning.threads import limited_threads
 from evogymcm.envs import SoftRobotEnv
-from evogymcm.envs.tasks import as_task
 
-__all__ = ["Scores", "score_alone", "score_mutants", "score_proposals", "score_together"]
+__all__ = ["Scores", "score_alone", "score_proposals", "score_together"]
 
 
 @dataclass(frozen=True)
@@ -39,11 +39,15 @@ class Scores:
 
 
 def _score(
-    arena: Arena, designs: Sequence[Design], make_policy: Callable[[SoftRobotEnv], TensorDictModuleBase], seed: int
+    make_env: MakeEnv, designs: Sequence[Design], make_policy: Callable[[SoftRobotEnv], TensorDictModuleBase], seed: int
 ) -> Scores:
     """Plays an episode of each design, or several where resets are random, in which all designs draw the same."""
-    starts = starts_of(as_task(arena.task))
-    env = arena.make(designs, starts)
+    make = partial(holding(make_env, designs), seed=0)
+    env = make(num_worlds=len(designs))
+    starts = starts_of(env.task)
+    if starts > 1:
+        env.close(raise_if_closed=False)
+        env = make(num_worlds=starts * len(designs))
     try:
         env.engine.set_seed([seed + world // len(designs) for world in range(env.engine.num_worlds)])
         with limited_threads(1):
@@ -91,99 +95,82 @@ def _actors(policies: Sequence[Policy], columns: int) -> list[Actor]:
     return actors
 
 
-def score_alone(arena: Arena, designs: Sequence[Design], policies: Sequence[Policy], seed: int = 0) -> Scores:
+def score_alone(make_env: MakeEnv, designs: Sequence[Design], policies: Sequence[Policy], seed: int = 0) -> Scores:
     """Scores each design under its policy, exactly as if it were alone: always the same to the last bit.
 
     Args:
-        arena: where.
+        make_env: see `train_designs`.
         designs: D designs.
         policies: D policies.
-        seed: of tasks with random resets, from which the seeds of several episodes count up; the same for all designs.
+        seed: where tasks with random resets draw from; those of several episodes count up. The same for all designs.
 
     Raises:
         ValueError: There are not as many policies as designs.
     """
     if len(policies) != len(designs):
         raise ValueError(f"policies: got {len(policies)}, expected one for each of {len(designs)} designs")
-    return _score(arena, designs, lambda env: _OneByOne(_actors(policies, env.grid_shape[1])), seed)
+    return _score(make_env, designs, lambda env: _OneByOne(_actors(policies, env.grid_shape[1])), seed)
 
 
 def score_together(
-    arena: Arena, designs: Sequence[Design], policies: Sequence[Policy], copies: int, seed: int = 0
+    make_env: MakeEnv, groups: Sequence[Sequence[Design]], policies: Sequence[Policy], seed: int = 0
 ) -> Scores:
-    """Scores `copies` designs under each policy in one batch: fast, and the same as `score_alone` but for rounding.
+    """Scores several designs under each policy in one batch: fast, and the same as `score_alone` but for rounding.
 
     Args:
-        arena: where.
-        designs: `copies` of each policy; design i is under policy i % P.
+        make_env: see `train_designs`.
+        groups: C designs for each of P policies.
         policies: P policies.
-        copies: designs of each policy.
-        seed: of tasks with random resets, from which the seeds of several episodes count up; the same for all designs.
+        seed: where tasks with random resets draw from; those of several episodes count up. The same for all designs.
+
+    Returns:
+        Scores whose arrays have the shape (P, C).
 
     Raises:
-        ValueError: There are not `copies` designs of each policy.
+        ValueError: There are not as many policies as groups.
     """
-    if copies * len(policies) != len(designs):
-        raise ValueError(f"policies: got {len(policies)}, expected 1 for {copies} each of {len(designs)} designs")
+    if len(policies) != len(groups):
+        raise ValueError(f"policies: got {len(policies)}, expected one for each of {len(groups)} groups of designs")
 
     def make_policy(env: SoftRobotEnv) -> PerDesign:
         actor = load_actor(stack_policies(policies, "independent"))
         actor.columns = env.grid_shape[1]
         return PerDesign(actor, len(policies))
 
-    return _score(arena, designs, make_policy, seed)
-
-
-def score_mutants(
-    arena: Arena, mutants: Sequence[Sequence[Design]], policies: Sequence[Policy]
-) -> tuple[np.ndarray, int]:
-    """Scores several mutants under each of their parents' controllers, in one batch.
-
-    Args:
-        arena: where.
-        mutants: as many of each of P parents.
-        policies: P controllers.
-
-    Returns:
-        Scores (P, mutants of a parent), and the env-steps simulated.
-    """
-    copies = len(mutants[0])
-    designs = [group[copy] for copy in range(copies) for group in mutants]
-    together = score_together(arena, designs, policies, copies)
-    return together.score.reshape(copies, len(mutants)).T.copy(), together.env_steps
+    flat = _score(make_env, [design for column in zip(*groups, strict=True) for design in column], make_policy, seed)
+    score, returns, ceiling = (
+        part.reshape(-1, len(policies)).T.copy() for part in (flat.score, flat.returns, flat.ceiling)
+    )
+    return Scores(score, returns, ceiling, flat.env_steps)
 
 
 def score_proposals(
-    arena: Arena, search: MaterialSearch, survivors: Sequence[Individual], policies: Sequence[Policy]
+    make_env: MakeEnv, search: MaterialSearch, policies: Sequence[Policy]
 ) -> tuple[np.ndarray, np.ndarray, int]:
     """Scores all proposals of a search's round in one batch, and the best of each that may be accepted also by itself.
 
     Args:
-        arena: where.
-        search: with a round to be told.
-        survivors: S individuals that it searches for.
-        policies: their controllers.
+        make_env: see `train_designs`.
+        search: that of S individuals, with a round to be told.
+        policies: the individuals' policies.
 
     Returns:
         Scores of all proposals, (S * candidates,); returns of those also scored by themselves, (S,), NaN for others;
         the env-steps simulated.
     """
     fields = search.ask()  # (S * candidates, rows, columns)
-    fields = fields.reshape(len(survivors), -1, *fields.shape[1:])
-    copies = fields.shape[1]
-    designs = [
-        Design(individual.design.body, fields[i, copy])
-        for copy in range(copies)
-        for i, individual in enumerate(survivors)
+    fields = fields.reshape(len(policies), -1, *fields.shape[1:])
+    groups = [
+        [Design(individual.design.body, field) for field in own]
+        for individual, own in zip(search.individuals, fields, strict=True)
     ]
-    together = score_together(arena, designs, policies, copies)
-    scores = together.score.reshape(copies, len(survivors)).T.copy()  # (survivors, candidates)
-    picks = scores.argmax(1)
-    promising = [i for i in range(len(survivors)) if scores[i, picks[i]] >= search.best.scores[i]]
-    returns, steps = np.full(len(survivors), np.nan), together.env_steps
+    together = score_together(make_env, groups, policies)
+    scores, picks = together.score, together.score.argmax(1)
+    promising = [i for i, pick in enumerate(picks) if scores[i, pick] >= search.best.scores[i]]
+    returns, steps = np.full(len(policies), np.nan), together.env_steps
     if promising:
-        chosen = [Design(survivors[i].design.body, fields[i, picks[i]]) for i in promising]
-        alone = score_alone(arena, chosen, [policies[i] for i in promising])
+        chosen = [groups[i][picks[i]] for i in promising]
+        alone = score_alone(make_env, chosen, [policies[i] for i in promising])
         below = np.nextafter(alone.score, -np.inf)  # none of the others, scored in a batch, may be taken for it
         scores[promising] = np.minimum(scores[promising], below[:, None])
         scores[promising, picks[promising]], returns[promising] = alone.score, alone.returns

@@ -1,17 +1,17 @@
 """What to try next for one body's stiffness field: noise on the best so far (EvoGymCM), or CMA-ES (Hansen, 2016)."""
 
 from math import log
-from typing import Any, Protocol
+from typing import Any, Protocol, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
+from evogymcm._settings import check_choice
+from evogymcm.algos.codesign.config import Noise
 from evogymcm.algos.codesign.design import Design
 from evogymcm.body import STIFFNESS_HIGH, STIFFNESS_LOW
 
-__all__ = ["CMA", "NOISE", "HillClimber", "Proposer", "load_cma", "perturb_stiffness"]
-
-NOISE = ("multiplicative", "additive")
+__all__ = ["CMA", "HillClimber", "Proposer", "load_cma", "perturb_stiffness"]
 
 Field = NDArray[np.float64]
 
@@ -21,14 +21,14 @@ def perturb_stiffness(
     rng: np.random.Generator,
     probability: float = 0.15,
     sigma: float = 0.2,
-    noise: str = "multiplicative",
+    noise: Noise = "multiplicative",
 ) -> Field:
     """Returns a design's stiffness field with noise on some of its voxels: (rows, cols) in [0.5, 2], 1 on empty cells.
 
     Args:
         design: body and stiffness to start from.
         rng: source of randomness.
-        probability: of a voxel to be changed, independently; if none is picked, one of them is, uniformly.
+        probability: how likely a voxel is to be changed, independently; if none is, one of them is, uniformly.
         sigma: standard deviation of the normal noise.
         noise: "multiplicative" (factors exp(noise), EvoGymCM's reference code) or "additive" (the EvoGymCM paper).
             Either result is clipped.
@@ -36,8 +36,7 @@ def perturb_stiffness(
     Raises:
         ValueError: There is no such noise.
     """
-    if noise not in NOISE:
-        raise ValueError(f"noise: got {noise!r}, allowed are {', '.join(NOISE)}")
+    check_choice("noise", noise, get_args(Noise))
     voxels = design.field[design.body.occupancy]
     is_picked = rng.random(len(voxels)) < probability
     if not is_picked.any():
@@ -69,7 +68,9 @@ class Proposer(Protocol):
 class HillClimber:
     """Perturbs the best field so far."""
 
-    def __init__(self, rng: np.random.Generator, candidates: int, probability: float, sigma: float, noise: str) -> None:
+    def __init__(
+        self, rng: np.random.Generator, candidates: int, probability: float, sigma: float, noise: Noise
+    ) -> None:
         self.rng, self.candidates = rng, candidates
         self.arguments = (probability, sigma, noise)
 

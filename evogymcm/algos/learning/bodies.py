@@ -1,5 +1,6 @@
 """Bodies that policies are trained on: texts that mean the same wherever a run is looked at, and random ones."""
 
+import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -8,27 +9,36 @@ import numpy as np
 
 from evogymcm._messages import brief
 from evogymcm.body import Body, as_body, is_body_file, robot_tasks, sample_body
+from evogymcm.envs.dealing import as_bodies
 
-__all__ = ["N_HELD_OUT", "STANDARD_BODY", "RandomBodies", "as_text", "default_body", "held_out_bodies", "written_out"]
+__all__ = ["N_HELD_OUT", "STANDARD_BODY", "RandomBodies", "as_texts", "default_body", "held_out_bodies", "written_out"]
 
 N_HELD_OUT = 64  # bodies that tell what a policy is worth on those that it has not seen
 _HELD_OUT_SEED = 987_654_321
 STANDARD_BODY = "HHHHH/HHHHH/HH.HH/VV.VV/VV.VV"
 
 
-def as_text(body: Any) -> str:
-    """Returns anything that `as_body` takes as text: rows of voxels, or a name or path as it is.
+def as_texts(bodies: Any) -> tuple[str, ...]:
+    """Returns a body or several as texts: each rows of voxels, or a name or path as it is.
+
+    Args:
+        bodies: What `as_bodies` takes, or nothing; of texts each is a body.
 
     Raises:
-        ValueError: It is no body, or its connections cannot be written as rows.
+        ValueError: One is no body, or its connections cannot be written as rows.
     """
-    if isinstance(body, str):
-        if not is_body_file(body):
-            as_body(body)
-        return body
-    if is_body_file(body):
-        return str(body)
-    body = as_body(body)
+    if is_body_file(bodies) or isinstance(bodies, str):
+        bodies = [bodies]
+    is_plain = isinstance(bodies, list | tuple) and all(isinstance(body, str) or is_body_file(body) for body in bodies)
+    return tuple(map(_as_text, bodies if is_plain else as_bodies(bodies)))
+
+
+def _as_text(body: str | os.PathLike[str] | Body) -> str:
+    if not isinstance(body, Body):
+        text = os.fspath(body)
+        if not is_body_file(text):
+            as_body(text)  # is there such a robot?
+        return text
     if not body.has_default_connections:
         raise ValueError(f"bodies: {brief(body)} has connections of its own; save it as .npz and give the file's path")
     return body.text

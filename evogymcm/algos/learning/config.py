@@ -7,7 +7,7 @@ import numpy as np
 
 from evogymcm._messages import brief
 from evogymcm._settings import EdgeRule, Material, check_count, check_fields, check_number, check_pair
-from evogymcm.algos.learning.bodies import N_HELD_OUT, as_text, default_body, held_out_bodies, written_out
+from evogymcm.algos.learning.bodies import N_HELD_OUT, as_texts, default_body, held_out_bodies, written_out
 from evogymcm.body import STIFFNESS_HIGH, STIFFNESS_LOW, Body, as_body, check_stiffness
 
 __all__ = ["PPOConfig", "TrainConfig"]
@@ -157,8 +157,7 @@ class TrainConfig:
             raise ValueError(f"task: got {self.task!r}, expected the id of a task or the file of a world")
         if not isinstance(self.ppo, PPOConfig):
             raise ValueError(f"ppo: got {brief(self.ppo)}, expected a PPOConfig")
-        bodies = [self.bodies] if isinstance(self.bodies, str | Body) else self.bodies
-        object.__setattr__(self, "bodies", tuple(as_text(body) for body in bodies))
+        object.__setattr__(self, "bodies", as_texts(self.bodies))
         check_fields(self, {"stiffness": {"low": STIFFNESS_LOW, "high": STIFFNESS_HIGH}})
         if self.random_bodies is not None:
             self._check_stream()

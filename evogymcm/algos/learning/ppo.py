@@ -53,7 +53,7 @@ class PPOLearner:
             loss_critic_type="l2",
             functional=False,
         )
-        self.gae = GAE(gamma=config.gamma, lmbda=config.gae_lambda, value_network=None)
+        self.gae = GAE(gamma=config.gamma, lmbda=config.gae_lambda, value_network=None, device=actor.log_std.device)
         parameters = [*actor.parameters(), *critic.parameters()]
         self.optimizer = torch.optim.Adam(parameters, config.learning_rate, eps=1e-5, fused=True)
 

@@ -206,7 +206,7 @@ class Trainer:
                 weights = stack_states([weights] * copies)
             network.load_state_dict(weights)
         if copies == given and "optimizer" in policy:
-            self.learner.optimizer.load_state_dict(policy["optimizer"])
+            self.learner.optimizer.load_state_dict(copy.deepcopy(policy["optimizer"]))  # it would go on in place
         self._is_fresh = False
 
     def state_dict(self) -> dict[str, Any]:

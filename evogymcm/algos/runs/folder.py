@@ -17,6 +17,7 @@ from typing import Any
 from filelock import FileLock, Timeout
 
 from evogymcm._files import write_atomic
+from evogymcm.algos.runs.older import present_settings
 
 __all__ = ["RunFiles", "RunFolder", "RunInUseError", "stop_on_interrupt"]
 
@@ -187,7 +188,7 @@ class RunFolder(RunFiles):
 
     def _check_same(self, config: Mapping[str, Any]) -> None:
         """Compares with the saved settings."""
-        saved = self.config
+        saved = present_settings(self.config)
         self._refuse(saved, config, saved.keys() | config.keys())
 
     def check_settings(self, config: Mapping[str, Any]) -> None:
@@ -199,7 +200,7 @@ class RunFolder(RunFiles):
         Raises:
             ValueError: Settings of one name differ.
         """
-        saved = self.config
+        saved = present_settings(self.config)
         self._refuse(saved, _plain(config), saved.keys() & config.keys())
 
     def _refuse(self, saved: Mapping[str, Any], config: Mapping[str, Any], names: Collection[str]) -> None:

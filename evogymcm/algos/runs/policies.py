@@ -118,7 +118,9 @@ def load_policy(path: str | Path) -> SavedPolicy:
     if found.name == "codesign.pt":
         if saved.get("champion") is None:
             raise ValueError(f"policy: {path} has no trained design yet")
-        row, saved = saved["champion"]["individual"], saved["champion"]["policy"]
+        best = saved["champion"]
+        row = best["individual"]
+        saved = best.get("policy") or _load(found.with_name(f"policy-{row['index']:04}.pt"))  # first of before
     elif run and run.kind == "codesign" and (number := re.fullmatch(r"policy-(\d+)\.pt", found.name)):
         row = run.designs[int(number[1])]
     if "form" not in saved:

@@ -33,14 +33,17 @@ class Climbing(Task):
         return None if self.goal_y is None else self.goal_y - start.y
 
 
+_SEEN = ("velocity", "relative")
+
 TASKS = (
-    Climbing("Climber-v0", "Climber-v0", (1, 1), 400, observes=("velocity", "relative"), goal_y=8.6),
-    Climbing("Climber-v1", "Climber-v1", (1, 1), 600, observes=("velocity", "relative"), goal_y=6.5),
+    Climbing("Climber-v0", "Climber-v0", (1, 1), 400, about="climb a pipe", observes=_SEEN, goal_y=8.6),
+    Climbing("Climber-v1", "Climber-v1", (1, 1), 600, about="climb a pipe with soft walls", observes=_SEEN, goal_y=6.5),
     Climbing(
         "Climber-v2",
         "Climber-v2",
         (1, 1),
         1000,
+        about="climb a winding pipe",
         observes=("velocity", "orientation", "relative", "ceiling"),
         ceiling=Window(("pipe",), 3),
         gain_x=0.2,

@@ -158,13 +158,17 @@ class Sliding(BeamMoving):
 
 
 TASKS = (
-    Carrying("Carrier-v0", "Carrier-v0", (1, 1), 500, observes=_PACKAGE, goal_x=9.9),
-    CarryingToTable("Carrier-v1", "Carrier-v1", (1, 4), 1000, observes=_PACKAGE),
-    Pushing("Pusher-v0", "Pusher-v0", (1, 1), 500, observes=_PACKAGE, goal_x=9.9),
-    Pushing("Pusher-v1", "Pusher-v1", (13, 1), 600, observes=_PACKAGE, goal_x=6.9),
-    Throwing("Thrower-v0", "Thrower-v0", (1, 1), 300, observes=_PACKAGE),
-    Catching("Catcher-v0", "Catcher-v0", (22, 1), 400, observes=_BEAM),
-    Lifting("Lifter-v0", "Lifter-v0", (2, 3), 300, observes=_TURNING_PACKAGE),
-    Toppling("BeamToppler-v0", "BeamToppler-v0", (1, 1), 1000, observes=_BEAM),
-    Sliding("BeamSlider-v0", "BeamSlider-v0", (1, 1), 1000, observes=_BEAM),
+    Carrying("Carrier-v0", "Carrier-v0", (1, 1), 500, about="carry a soft package", observes=_PACKAGE, goal_x=9.9),
+    CarryingToTable(
+        "Carrier-v1", "Carrier-v1", (1, 4), 1000, about="carry a rigid package to a table", observes=_PACKAGE
+    ),
+    Pushing("Pusher-v0", "Pusher-v0", (1, 1), 500, about="push a soft package", observes=_PACKAGE, goal_x=9.9),
+    Pushing("Pusher-v1", "Pusher-v1", (13, 1), 600, about="drag a rigid package", observes=_PACKAGE, goal_x=6.9),
+    Throwing("Thrower-v0", "Thrower-v0", (1, 1), 300, about="throw a package", observes=_PACKAGE),
+    Catching(
+        "Catcher-v0", "Catcher-v0", (22, 1), 400, about="catch a package that falls from a random place", observes=_BEAM
+    ),
+    Lifting("Lifter-v0", "Lifter-v0", (2, 3), 300, about="lift a package out of a pit", observes=_TURNING_PACKAGE),
+    Toppling("BeamToppler-v0", "BeamToppler-v0", (1, 1), 1000, about="topple a beam", observes=_BEAM),
+    Sliding("BeamSlider-v0", "BeamSlider-v0", (1, 1), 1000, about="slide a beam", observes=_BEAM),
 )

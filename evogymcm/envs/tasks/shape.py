@@ -37,8 +37,8 @@ class Span(Task):
 _BOX, _SPAWN, _SHAPE_ONLY = "ShapeChange", (7, 1), ("relative",)
 
 TASKS = (
-    HullArea("AreaMaximizer-v0", _BOX, _SPAWN, 600, _SHAPE_ONLY, gain=10.0),
-    HullArea("AreaMinimizer-v0", _BOX, _SPAWN, 600, _SHAPE_ONLY, gain=-10.0),
-    Span("WingspanMazimizer-v0", _BOX, _SPAWN, 600, _SHAPE_ONLY, axis=0),  # EvoGym's spelling
-    Span("HeightMaximizer-v0", _BOX, _SPAWN, 500, _SHAPE_ONLY, axis=1),
+    HullArea("AreaMaximizer-v0", _BOX, _SPAWN, 600, _SHAPE_ONLY, about="grow the convex hull", gain=10.0),
+    HullArea("AreaMinimizer-v0", _BOX, _SPAWN, 600, _SHAPE_ONLY, about="shrink the convex hull", gain=-10.0),
+    Span("WingspanMazimizer-v0", _BOX, _SPAWN, 600, _SHAPE_ONLY, about="grow wide", axis=0),  # EvoGym's spelling
+    Span("HeightMaximizer-v0", _BOX, _SPAWN, 500, _SHAPE_ONLY, about="grow tall", axis=1),
 )

@@ -106,19 +106,43 @@ class Patrolling(Task):
 
 
 TASKS = (
-    Flipping("Flipper-v0", "Flipper-v0", (60, 1), 600, observes=("orientation", "relative")),
+    Flipping(
+        "Flipper-v0", "Flipper-v0", (60, 1), 600, about="turn over and over", observes=("orientation", "relative")
+    ),
     Jumping(
         "Jumper-v0",
         "Jumper-v0",
         (32, 1),
         500,
+        about="jump on the spot",
         observes=("velocity", "relative", "floor"),
         floor=Window(("ground",), 2),
     ),
     # The target is the pole's left edge, not its middle, as in EvoGym: numbers as products of voxels are rounded.
-    Balancing("Balancer-v0", "Balancer-v0", (15, 3), 600, observes=("orientation", "relative"), target=(17 * 0.1, 0.5)),
-    Balancing("Balancer-v1", "Balancer-v1", (10, 1), 600, observes=("orientation", "relative"), target=(1.75, 6 * 0.1)),
+    Balancing(
+        "Balancer-v0",
+        "Balancer-v0",
+        (15, 3),
+        600,
+        about="balance on a pole",
+        observes=("orientation", "relative"),
+        target=(17 * 0.1, 0.5),
+    ),
+    Balancing(
+        "Balancer-v1",
+        "Balancer-v1",
+        (10, 1),
+        600,
+        about="get onto a pole",
+        observes=("orientation", "relative"),
+        target=(1.75, 6 * 0.1),
+    ),
     Patrolling(
-        "BidirectionalWalker-v0", "BidirectionalWalker-v0", (33, 1), 1000, observes=("velocity", "relative", "goal")
+        "BidirectionalWalker-v0",
+        "BidirectionalWalker-v0",
+        (33, 1),
+        1000,
+        about="walk to and fro between random goals",
+        observes=("velocity", "relative", "goal"),
     ),
 )

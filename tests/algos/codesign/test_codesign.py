@@ -2,24 +2,31 @@
 
 import threading
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 
 import numpy as np
 import pytest
 import torch
+from torch.utils._pytree import tree_leaves
 
 import evogymcm as cm
 from evogymcm.algos import BodyPPOConfig, RunFolder
-from evogymcm.algos.codesign import Arena, CodesignConfig, Design, SearchConfig, codesign, score_alone, train_designs
+from evogymcm.algos.codesign import CodesignConfig, Design, SearchConfig, codesign, score_alone, train_designs
 from evogymcm.algos.codesign.scoring import score_together
-from evogymcm.envs import Task
+from evogymcm.algos.codesign.start import env_maker
+from evogymcm.envs import SoftRobotEnv, Task
 
 PPO = BodyPPOConfig(
     total_steps=256, num_worlds=8, rollout_steps=16, epochs=2, minibatch=32, hidden=8, eval_interval=128
 )  # fmt: skip
-TINY = CodesignConfig(
-    task="Dash-v0", shape=(2, 3), population=4, budget=6, ppo=PPO, search=SearchConfig(rounds=3), finetune_steps=128
-)
-ARMS = ("reactive", "fixed", "invariant", "prescribed")
+TINY = CodesignConfig("Dash-v0", shape=(2, 3), population=4, budget=6, ppo=PPO, finetune_steps=128)
+SEARCHING = replace(TINY, material="invariant", search=SearchConfig(rounds=3))
+RUNS = {
+    "reactive": TINY,
+    "invariant": replace(TINY, material="invariant"),
+    "stiff": replace(TINY, material="invariant", stiffness=1.5),
+    "searching": SEARCHING,
+}
 
 
 @dataclass(frozen=True)
@@ -35,14 +42,28 @@ if "Dash-v0" not in cm.tasks:
     cm.register_task(Dash("Dash-v0", world="Walker-v0", spawn=(1, 1), time_limit=8, observes=observes))
 
 
+def through_old_words(run):
+    """Writes a run's settings and state as the version before did: with an arm, policies in the state, other names."""
+    settings = run.read_json("config.json")
+    searches = settings["search"] is not None
+    arm = "reactive" if settings.pop("material") == "reactive" else "invariant" if searches else "prescribed"
+    settings |= {"arm": arm, "prescribed": settings.pop("stiffness")}
+    run.write_json("config.json", settings | {"search": settings["search"] or asdict(SearchConfig())})
+    state = run.load("codesign")
+    if state:
+        best = state["champion"]["individual"]
+        state["champion"]["policy"] = run.load(f"policy-{best['index']:04}")
+        state["policies"], state["returns"] = {best["index"]: state["champion"]["policy"]}, {best["index"]: 0.0}
+        run.save("codesign", state)
+
+
 def told(result):
     """What a run is judged by, without the weights."""
     return result.rows, result.env_steps, result.best.record()
 
 
-@pytest.mark.parametrize("arm", ARMS)
-def test_a_run_from_end_to_end(arm, tmp_path):
-    config = replace(TINY, arm=arm, prescribed=1.5)
+@pytest.mark.parametrize("config", RUNS.values(), ids=RUNS)
+def test_a_run_from_end_to_end(config, tmp_path):
     seen = []
     run = RunFolder(tmp_path / "run", asdict(config))
     result = codesign(config, run=run, progress=seen.append)
@@ -51,7 +72,7 @@ def test_a_run_from_end_to_end(arm, tmp_path):
     trained = [row["index"] for row in rows if row["event"] == "train"]
     assert trained == list(range(6))  # every body once
     phases = {row["event"] for row in rows}
-    assert phases == ({"train", "search", "finetune"} if arm == "invariant" else {"train"})
+    assert phases == ({"train", "search", "finetune"} if config.search else {"train"})
     steps = [row["env_steps"] for row in rows]
     assert steps == sorted(steps)
     assert result.env_steps == steps[-1] > 6 * 256
@@ -60,12 +81,12 @@ def test_a_run_from_end_to_end(arm, tmp_path):
     assert result.best.fitness == best[-1] == max(row["fitness"] for row in rows)
     assert {progress.phase for progress in seen} == phases
     assert all((run.path / f"policy-{index:04}.pt").is_file() for index in trained)
-    assert result.policy["form"]["ranges"].keys() == {"actuation"} | ({"stiffness"} if arm == "reactive" else set())
+    actions = {"actuation", "stiffness"} if config.material == "reactive" else {"actuation"}
+    assert result.policy["form"]["ranges"].keys() == actions
 
 
-@pytest.mark.parametrize(("arm", "is_blurred"), [("reactive", False), ("invariant", False), ("invariant", True)])
-def test_scores_and_returns_can_be_had_again_to_the_last_bit(arm, is_blurred, tmp_path, monkeypatch):
-    config = replace(TINY, arm=arm)
+@pytest.mark.parametrize(("config", "is_blurred"), [(TINY, False), (SEARCHING, False), (SEARCHING, True)])
+def test_scores_and_returns_can_be_had_again_to_the_last_bit(config, is_blurred, tmp_path, monkeypatch):
     if is_blurred:  # scores of a batch that are off by more than rounding, and several candidates to choose from
         rng = np.random.default_rng(0)
 
@@ -81,15 +102,15 @@ def test_scores_and_returns_can_be_had_again_to_the_last_bit(arm, is_blurred, tm
     last = {row["index"]: row for row in run.rows()}
     designs = [Design.from_record(row) for row in last.values()]
     policies = [run.load(f"policy-{index:04}") for index in last]
-    again = score_alone(config.make_arena(), designs, policies)
+    again = score_alone(env_maker(config), designs, policies)
     assert again.score.tolist() == [row["fitness"] for row in last.values()]
     assert again.returns.tolist() == [row["return"] for row in last.values()]
-    alone = score_alone(config.make_arena(), designs[-1:], policies[-1:]).score
+    alone = score_alone(env_maker(config), designs[-1:], policies[-1:]).score
     assert alone[0] == again.score[-1]
 
 
 def test_fitness_of_survivors_never_falls():
-    result = codesign(replace(TINY, arm="invariant", search=SearchConfig(rounds=6, acceptance="paper")))
+    result = codesign(replace(SEARCHING, search=SearchConfig(rounds=6, acceptance="paper")))
     best = {}
     for row in result.rows:
         assert row["fitness"] >= best.get(row["index"], -np.inf)
@@ -98,29 +119,29 @@ def test_fitness_of_survivors_never_falls():
     assert any(field is not None and np.ptp(np.array(field)) > 0 for field in fields)  # something was found
 
 
-def test_prescribed_stiffness_is_simulated():
-    config = replace(TINY, population=3, budget=3)
-    arms = [codesign(replace(config, arm="prescribed", prescribed=value)) for value in (0.5, 1.0, 2.0)]
-    fixed = codesign(replace(config, arm="fixed"))
-    scores = [[row["fitness"] for row in result.rows] for result in arms]
-    assert scores[1] == [row["fitness"] for row in fixed.rows]
+def test_stiffness_is_simulated():
+    config = replace(TINY, material="invariant", population=3, budget=3)
+    results = [codesign(replace(config, stiffness=value)) for value in (0.5, 1.0, 2.0)]
+    scores = [[row["fitness"] for row in result.rows] for result in results]
     assert scores[0] != scores[1] != scores[2]
 
 
 def test_scores_together_are_those_alone_but_for_rounding():
-    arena = Arena("Dash-v0", "invariant", num_threads=2)
+    make_env = partial(SoftRobotEnv, "Dash-v0", num_threads=2)
     rng = np.random.default_rng(0)
     designs = [Design(cm.sample_body((2, 3), rng)) for _ in range(3)]
-    trained = train_designs(arena, designs, PPO)
-    fields = [Design(d.body, rng.uniform(0.5, 2.0, (2, 3))) for _ in range(2) for d in designs]
+    trained = train_designs(make_env, designs, PPO)
+    groups = [[Design(design.body, rng.uniform(0.5, 2.0, (2, 3))) for _ in range(2)] for design in designs]
     before = threading.enumerate()
-    together = score_together(arena, fields, trained.best, 2).score
-    alone = score_alone(arena, fields, trained.best * 2).score
+    together = score_together(make_env, groups, trained.best)
+    assert together.env_steps == 6 * 8
+    for group, policy, score in zip(groups, trained.best, together.score, strict=True):
+        alone = score_alone(make_env, group, [policy] * 2).score
+        np.testing.assert_allclose(score, alone, rtol=0, atol=1e-6)
     assert threading.enumerate() == before  # the simulators' have ended
-    np.testing.assert_allclose(together, alone, rtol=0, atol=1e-6)
 
 
-def test_inheritance_starts_from_the_parents_controller(tmp_path):
+def test_inheritance_starts_from_the_parents_policy(tmp_path):
     config = replace(TINY, inherit=True, ppo=replace(PPO, learning_rate=1e-12))
     result = codesign(config, run=RunFolder(tmp_path / "run", {}))
     run = RunFolder(tmp_path / "run", {}, resume=True)
@@ -131,7 +152,7 @@ def test_inheritance_starts_from_the_parents_controller(tmp_path):
         torch.testing.assert_close(own["local.weight"], parent["local.weight"], atol=1e-6, rtol=1e-6)
 
 
-def test_inherited_controllers_can_explore_anew(tmp_path):
+def test_inherited_policies_can_explore_anew(tmp_path):
     ppo = replace(PPO, learning_rate=1e-12, initial_std=2.0, final_std=2.0)
     config = replace(TINY, inherit=True, inherit_std=0.5, ppo=ppo)
     result = codesign(config, run=RunFolder(tmp_path / "run", {}))
@@ -164,17 +185,16 @@ def test_the_budget_of_env_steps_ends_a_run():
 
 
 @pytest.mark.parametrize(
-    ("arm", "calls"),  # in the first and the second training; in a search, and in fine-tuning
+    ("config", "calls"),  # in the first and the second training; in a search, and in fine-tuning
     [
-        pytest.param("reactive", 1, marks=pytest.mark.slow),
-        ("reactive", 4),
-        pytest.param("invariant", 1, marks=pytest.mark.slow),
-        ("invariant", 5),
-        pytest.param("invariant", 8, marks=pytest.mark.slow),
+        pytest.param(TINY, 1, marks=pytest.mark.slow),
+        (TINY, 4),
+        pytest.param(SEARCHING, 1, marks=pytest.mark.slow),
+        (SEARCHING, 5),
+        pytest.param(SEARCHING, 8, marks=pytest.mark.slow),
     ],
 )
-def test_a_stopped_run_goes_on_to_the_same_result(arm, calls, tmp_path):
-    config = replace(TINY, arm=arm)
+def test_a_stopped_run_goes_on_to_the_same_result(config, calls, tmp_path):
     whole, asked = codesign(config), iter(range(10**6))
     stopped = codesign(config, run=RunFolder(tmp_path / "run", {}), should_stop=lambda: next(asked) >= calls)
     assert not stopped.finished
@@ -185,15 +205,46 @@ def test_a_stopped_run_goes_on_to_the_same_result(arm, calls, tmp_path):
         assert torch.equal(values, again.policy["actor"][key])
 
 
-def test_bad_settings_are_refused():
-    for changes, message in (
-        ({"arm": "active"}, "arm: got 'active', allowed are"),
-        ({"method": "bo"}, "method: got 'bo'"),
-        ({"prescribed": 3.0}, "prescribed: got 3.0"),
-        ({"population": 9}, "population: got 9"),
-        ({"rungs": (0.5,), "keep": ()}, "keep: got"),
-        ({"ppo": BodyPPOConfig(network="mlp")}, "ppo.network: got 'mlp'"),
-        ({"max_env_steps": 0}, "max_env_steps: got 0"),
-    ):
-        with pytest.raises(ValueError, match=message):
-            replace(TINY, **changes)
+@pytest.mark.parametrize("saves", [3, pytest.param(6, marks=pytest.mark.slow)])  # after each fine-tuning
+def test_a_run_killed_between_its_policies_and_its_state_goes_on_to_the_same_result(saves, tmp_path, monkeypatch):
+    ppo, search = replace(PPO, total_steps=128), SearchConfig(rounds=1)
+    config = replace(SEARCHING, ppo=ppo, search=search, finetune_steps=512)
+    whole, save, seen = codesign(config, run=RunFolder(tmp_path / "whole", {})), RunFolder.save, iter(range(10**6))
+    fitness = {(row["event"], row["generation_now"], row["index"]): row["fitness"] for row in whole.rows}
+    gained = [
+        generation
+        for (event, generation, index), value in fitness.items()
+        if event == "finetune" and value > fitness["search", generation, index]
+    ]
+    assert {0, 1} <= set(gained)  # policies were replaced
+
+    def dying(self, name, state):
+        if name == "codesign" and next(seen) == saves - 1:
+            raise KeyboardInterrupt
+        save(self, name, state)
+
+    run = RunFolder(tmp_path / "run", {})
+    with monkeypatch.context() as patch:
+        patch.setattr(RunFolder, "save", dying)
+        with pytest.raises(KeyboardInterrupt):
+            codesign(config, run=run)
+    run = RunFolder(tmp_path / "run", {}, resume=True)
+    assert told(codesign(config, run=run)) == told(whole)
+    for file in (tmp_path / "whole").glob("*.pt"):
+        if file.stem != "codesign":
+            for key, values in torch.load(file)["actor"].items():
+                assert torch.equal(values, run.load(file.stem)["actor"][key])
+    state = run.load("codesign")  # each policy lies in its own file, and nowhere else
+    assert not any(isinstance(value, torch.Tensor) for value in tree_leaves(state))
+
+
+@pytest.mark.parametrize("name", ["stiff", "searching"])
+def test_runs_in_the_words_of_before_go_on_to_the_same_result(name, tmp_path):
+    config, asked = RUNS[name], iter(range(10**6))
+    run = RunFolder(tmp_path / "run", asdict(config))
+    codesign(config, run=run, should_stop=lambda: next(asked) >= 4)
+    through_old_words(run)
+    again = codesign(config, run=RunFolder(tmp_path / "run", asdict(config), resume=True))
+    assert told(again) == told(codesign(config))
+    with pytest.raises(ValueError, match="material: got reactive, the run has invariant"):
+        RunFolder(tmp_path / "run", asdict(TINY), resume=True)

@@ -1,6 +1,7 @@
 """Co-design with every method, with and without inheritance and sharing; whose policy a child starts from."""
 
 from dataclasses import replace
+from functools import partial
 from itertools import product
 
 import numpy as np
@@ -10,7 +11,6 @@ import torch
 import evogymcm as cm
 from evogymcm.algos import BodyPPOConfig, RunFolder, evaluate, load_actor
 from evogymcm.algos.codesign import (
-    Arena,
     CodesignConfig,
     Design,
     SearchConfig,
@@ -19,14 +19,17 @@ from evogymcm.algos.codesign import (
     score_alone,
     train_designs,
 )
+from evogymcm.algos.codesign.inner_loop import holding
 from evogymcm.algos.codesign.scoring import score_together
+from evogymcm.algos.codesign.start import env_maker
+from evogymcm.envs import SoftRobotEnv
 from tests.algos.codesign.test_codesign import TINY, told
 from tests.registries import registered
 
 PPO = BodyPPOConfig(total_steps=32, num_worlds=2, rollout_steps=8, epochs=1, minibatch=16, hidden=4, eval_interval=0)
 QUICK = CodesignConfig(
-    "Blink-v0", arm="invariant", shape=(2, 3), population=4, budget=8, search=SearchConfig(rounds=1), finetune_steps=16,
-    ppo=PPO,
+    "Blink-v0", material="invariant", search=SearchConfig(rounds=1), finetune_steps=16, shape=(2, 3), population=4,
+    budget=8, ppo=PPO,
 )  # fmt: skip
 METHODS = {
     "ga": {"method": "ga"},
@@ -72,7 +75,7 @@ def test_every_method_runs_or_says_why_not(method, inherit, sharing, tmp_path):
         assert told(codesign(config)) == told(result)  # without a folder, where policies come from memory
     last = {row["index"]: row for row in result.rows}
     again = score_alone(
-        config.make_arena(),
+        env_maker(config),
         [Design.from_record(row) for row in last.values()],
         [run.load(f"policy-{index:04}") for index in last],
     )
@@ -82,7 +85,9 @@ def test_every_method_runs_or_says_why_not(method, inherit, sharing, tmp_path):
 def test_children_of_old_elites_start_from_their_own_parents_policy(tmp_path):
     pytest.importorskip("ribs")
     ppo = replace(PPO, learning_rate=1e-12)  # with hardly any learning, a child's weights are its parent's
-    config = replace(QUICK, arm="reactive", method="qd", inherit=True, population=3, budget=15, ppo=ppo)
+    config = replace(
+        QUICK, material="reactive", search=None, method="qd", inherit=True, population=3, budget=15, ppo=ppo
+    )
     run = RunFolder(tmp_path / "run", {})
     rows = {row["index"]: row for row in codesign(config, run=run).rows}
     children = [row for row in rows.values() if row["parent"] is not None]
@@ -96,38 +101,38 @@ def test_children_of_old_elites_start_from_their_own_parents_policy(tmp_path):
 
 
 def test_a_shared_policy_cannot_start_from_several():
-    arena = Arena(TINY.task, "invariant")
+    make_env = partial(SoftRobotEnv, TINY.task)
     designs = [Design(cm.Body(text)) for text in ("HVH/S.R", "HHH/V.V")]
-    apart = train_designs(arena, designs, PPO).last
+    apart = train_designs(make_env, designs, PPO).last
     shared = replace(PPO, sharing="shared")
-    with pytest.raises(ValueError, match="start_from: got different policies, but a shared policy can start from one"):
-        train_designs(arena, designs, shared, start_from=apart)
-    with pytest.raises(ValueError, match="start_from: got 1 policies, expected one for each of 2 designs"):
-        train_designs(arena, designs, shared, start_from=apart[:1])
-    for scored in (lambda: score_alone(arena, designs, apart[:1]), lambda: score_together(arena, designs, apart, 2)):
+    with pytest.raises(ValueError, match="initial: got different policies, but a shared policy can start from one"):
+        train_designs(make_env, designs, shared, initial=apart)
+    with pytest.raises(ValueError, match="initial: got 1 policies, expected one for each of 2 designs"):
+        train_designs(make_env, designs, shared, initial=apart[:1])
+    for score, given in ((score_alone, (designs, apart[:1])), (score_together, ([designs], apart))):
         with pytest.raises(ValueError, match=r"policies: got \d, expected"):
-            scored()
-    assert train_designs(arena, designs, shared, start_from=[apart[0], dict(apart[0])]).finished
+            score(make_env, *given)
+    assert train_designs(make_env, designs, shared, initial=[apart[0], dict(apart[0])]).finished
 
 
 def test_scores_do_not_depend_on_who_stands_beside_where_resets_are_random(zigzag):
-    arena = Arena(zigzag, "invariant")
+    make_env = partial(SoftRobotEnv, zigzag)
     designs = [Design(cm.Body("HVH/S.R"))] * 4
-    policies = train_designs(arena, designs[:1], PPO).best * 4
-    scores = [score_alone(arena, designs, policies, seed).score for seed in range(4)]
+    policies = train_designs(make_env, designs[:1], PPO).best * 4
+    scores = [score_alone(make_env, designs, policies, seed).score for seed in range(4)]
     assert all(len(set(row.tolist())) == 1 for row in scores)
     assert len({row[0] for row in scores}) > 1  # the draws do matter
-    assert score_alone(arena, designs[:1], policies[:1]).score[0] == scores[0][0]
-    together = score_together(arena, designs, policies[:1], 4, seed=3).score
-    assert together == pytest.approx(scores[3], abs=1e-6)
+    assert score_alone(make_env, designs[:1], policies[:1]).score[0] == scores[0][0]
+    together = score_together(make_env, [designs], policies[:1], seed=3).score
+    assert together[0] == pytest.approx(scores[3], abs=1e-6)
 
 
 def test_scores_are_means_over_eight_draws_where_resets_are_random(zigzag):
-    arena, design = Arena(zigzag, "invariant"), Design(cm.Body("HVH/S.R"))
-    trained = train_designs(arena, [design], PPO)
-    result, single = score_alone(arena, [design], trained.best, seed=5), []
+    make_env, design = partial(SoftRobotEnv, zigzag), Design(cm.Body("HVH/S.R"))
+    trained = train_designs(make_env, [design], PPO)
+    result, single = score_alone(make_env, [design], trained.best, seed=5), []
     for seed in range(5, 13):
-        env = arena.make([design], seed=seed)
+        env = holding(make_env, [design])(num_worlds=1, seed=seed)
         actor = load_actor(trained.best[0])
         actor.columns = env.grid_shape[1]
         single.append(evaluate(actor, env))
@@ -136,5 +141,5 @@ def test_scores_are_means_over_eight_draws_where_resets_are_random(zigzag):
         parts = [getattr(one, name)[0] for one in single]
         assert len(set(parts)) > 1
         assert mean[0] == pytest.approx(np.mean(parts), abs=1e-9)
-    config = replace(QUICK, task=zigzag, arm="fixed", inherit=True, mutants=2)
+    config = replace(QUICK, task=zigzag, search=None, inherit=True, mutants=2)
     assert codesign(config).env_steps == cost_of(config).total

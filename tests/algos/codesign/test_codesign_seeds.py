@@ -8,7 +8,7 @@ import pytest
 
 from evogymcm.algos import RunFolder
 from evogymcm.algos.codesign import codesign
-from evogymcm.algos.codesign.cost import generations
+from evogymcm.algos.codesign.plan import generations
 from evogymcm.algos.learning.seeding import derived_seed
 from tests.algos.codesign.test_codesign_methods import QUICK
 

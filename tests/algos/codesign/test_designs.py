@@ -11,11 +11,10 @@ from evogymcm.body import Body, mutate_body, sample_body
 SHAPE = (5, 5)
 
 
-def test_prescribed_stiffness_takes_the_place_of_a_designs_own():
+def test_one_stiffness_takes_the_place_of_a_designs_own():
     design = Design(Body("HR/.R"), [[0.5, 2.0], [1.0, 1.5]])
-    for arm in ("reactive", "fixed", "invariant"):
-        assert design.in_arm(arm, 0.7) is design
-    np.testing.assert_array_equal(design.in_arm("prescribed", 0.7).field, [[0.7, 0.7], [1.0, 0.7]])
+    assert design.at(1.0) is design
+    np.testing.assert_array_equal(design.at(0.7).field, [[0.7, 0.7], [1.0, 0.7]])
 
 
 def test_designs_are_checked_and_read_only():

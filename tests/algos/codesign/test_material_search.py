@@ -1,7 +1,5 @@
 """Search for stiffness fields, on objectives that need no simulator."""
 
-import sys
-
 import numpy as np
 import pytest
 
@@ -222,12 +220,6 @@ def test_cma_leaves_the_global_generator_alone():
     before = np.random.get_state()[1].copy()  # noqa: NPY002
     play(MaterialSearch([individual()], seed=0, candidates=4, proposal="cma"))
     np.testing.assert_array_equal(np.random.get_state()[1], before)  # noqa: NPY002
-
-
-def test_without_the_package_the_extra_is_named(monkeypatch):
-    monkeypatch.setitem(sys.modules, "cma", None)
-    with pytest.raises(ImportError, match=r"evogymcm\[cma\]"):
-        MaterialSearch([individual()], seed=0, candidates=4, proposal="cma")
 
 
 # Stopping and going on

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from evogymcm.algos import RunFolder
-from evogymcm.algos.codesign import Arena, GeneticAlgorithm, RandomSearch, codesign, cost_of, score_alone, train_designs
-from evogymcm.algos.codesign.scoring import score_mutants
-from tests.algos.codesign.test_codesign import PPO, TINY, told
+from evogymcm.algos.codesign import GeneticAlgorithm, RandomSearch, codesign, cost_of, score_alone
+from evogymcm.algos.codesign.scoring import score_together
+from evogymcm.algos.codesign.start import env_maker
+from tests.algos.codesign.test_codesign import RUNS, SEARCHING, TINY, told
 from tests.algos.codesign.test_genetic import SHAPE, indices, play, voxels
 from tests.algos.tools import through_json
 
@@ -16,7 +17,7 @@ from tests.algos.tools import through_json
 
 
 def after_one_generation(**settings):
-    search = GeneticAlgorithm(SHAPE, 6, 40, **({"seed": 3} | settings))
+    search = GeneticAlgorithm(SHAPE, 40, 6, **({"seed": 3} | settings))
     play(search, 1)
     return search
 
@@ -56,7 +57,7 @@ def test_the_best_mutants_are_asked_for_and_the_others_forgotten():
 
 
 def test_choosing_keeps_to_the_budget():
-    search = GeneticAlgorithm(SHAPE, 6, 14, seed=0)
+    search = GeneticAlgorithm(SHAPE, 14, 6, seed=0)
     while not search.is_finished:
         if search.generation:
             search.choose([[voxels(mutant) for mutant in group] for group in search.mutants(4)])
@@ -68,7 +69,7 @@ def test_choosing_keeps_to_the_budget():
 
 def test_choosing_helps_where_the_score_is_the_fitness():
     def final(count):
-        search = GeneticAlgorithm(SHAPE, 10, 60, seed=1)
+        search = GeneticAlgorithm(SHAPE, 60, 10, seed=1)
         while not search.is_finished:
             if search.generation:
                 search.choose([[voxels(mutant) for mutant in group] for group in search.mutants(count)])
@@ -83,7 +84,7 @@ def test_a_search_saved_before_the_choice_goes_on_to_the_same():
     for individual in search.survivors:
         search.update(individual.index, stiffness=np.full(SHAPE, 1.5))
     groups = search.mutants(4)
-    resumed = GeneticAlgorithm(SHAPE, 6, 40, seed=3, carries_stiffness=True)
+    resumed = GeneticAlgorithm(SHAPE, 40, 6, seed=3, carries_stiffness=True)
     resumed.load_state_dict(through_json(search.state_dict()))
     assert resumed.mutants(4) == groups
     assert any(np.ptp(mutant.design.field[mutant.design.body.occupancy]) > 0 for mutant in groups[0])  # inherited
@@ -93,7 +94,7 @@ def test_a_search_saved_before_the_choice_goes_on_to_the_same():
 
 
 def test_bad_choices_are_refused_and_change_nothing():
-    search = GeneticAlgorithm(SHAPE, 6, 40, seed=3)
+    search = GeneticAlgorithm(SHAPE, 40, 6, seed=3)
     with pytest.raises(RuntimeError, match="mutants: must be asked for between"):
         search.mutants(2)
     search = after_one_generation()
@@ -116,14 +117,11 @@ def test_bad_choices_are_refused_and_change_nothing():
 # Fewer or more voxels
 
 
-@pytest.mark.parametrize("make", [
-    lambda weights: GeneticAlgorithm(SHAPE, 40, 200, seed=1, weights=weights),
-    lambda weights: RandomSearch(SHAPE, 200, 40, seed=1, weights=weights),
-])  # fmt: skip
-def test_weights_hold_for_random_bodies_and_mutants(make):
+@pytest.mark.parametrize("method", [GeneticAlgorithm, RandomSearch])
+def test_weights_hold_for_random_bodies_and_mutants(method):
     sizes = {}
     for name, weights in (("default", (0.6, 0.2, 0.2, 0.2, 0.2)), ("sparse", (1.6, 0.2, 0.0, 0.2, 0.4))):
-        rows = play(make(weights), fitness=lambda individual: 0.0)
+        rows = play(method(SHAPE, 200, 40, seed=1, weights=weights), fitness=lambda individual: 0.0)
         text = "".join(row["body"] for row in rows)
         sizes[name] = [sum(cell in "RSHV" for cell in row["body"]) for row in rows]
         if name == "sparse":
@@ -136,12 +134,12 @@ def test_weights_hold_for_random_bodies_and_mutants(make):
 
 def test_weights_are_checked_and_part_of_the_state():
     with pytest.raises(ValueError, match="weights: got"):
-        GeneticAlgorithm(SHAPE, 4, 8, seed=0, weights=(1, 1, 1, 0, 0))
+        GeneticAlgorithm(SHAPE, 8, 4, seed=0, weights=(1, 1, 1, 0, 0))
     with pytest.raises(ValueError, match="weights: got"):
         replace(TINY, weights=(1.0, 1.0))
-    state = GeneticAlgorithm(SHAPE, 4, 8, seed=0).state_dict()
+    state = GeneticAlgorithm(SHAPE, 8, 4, seed=0).state_dict()
     with pytest.raises(ValueError, match="weights: got"):
-        GeneticAlgorithm(SHAPE, 4, 8, seed=0, weights=(2, 1, 1, 1, 1)).load_state_dict(state)
+        GeneticAlgorithm(SHAPE, 8, 4, seed=0, weights=(2, 1, 1, 1, 1)).load_state_dict(state)
 
 
 # Co-design
@@ -150,19 +148,23 @@ SCREENING = replace(TINY, inherit=True, mutants=3)
 
 
 @pytest.mark.parametrize(
-    "arm",
-    ["prescribed", pytest.param("reactive", marks=pytest.mark.slow), pytest.param("invariant", marks=pytest.mark.slow)],
+    "config",
+    [
+        RUNS["stiff"],
+        pytest.param(TINY, marks=pytest.mark.slow),
+        pytest.param(SEARCHING, marks=pytest.mark.slow),
+    ],
 )
-def test_children_are_the_best_mutants_under_their_parents_controller(arm, tmp_path, monkeypatch):
-    config = replace(SCREENING, arm=arm, prescribed=1.5, population=3, budget=5, mutants=10)  # two blocks of mutants
+def test_children_are_the_best_mutants_under_their_parents_policy(config, tmp_path, monkeypatch):
+    config = replace(config, inherit=True, population=3, budget=5, mutants=10)  # two blocks of mutants
     played = []
 
-    def spy(arena, mutants, policies):
-        scores, steps = score_mutants(arena, mutants, policies)
-        played.append((mutants, policies, scores))
-        return scores, steps
+    def spy(make_env, mutants, policies):
+        scores = score_together(make_env, mutants, policies)
+        played.append((mutants, policies, scores.score))
+        return scores
 
-    monkeypatch.setattr("evogymcm.algos.codesign.run.score_mutants", spy)
+    monkeypatch.setattr("evogymcm.algos.codesign.run.score_together", spy)
     seen = []
     result = codesign(config, run=RunFolder(tmp_path / "run", {}), progress=seen.append)
     assert [len(mutants[0]) for mutants, _, _ in played] == [8, 2, 8, 2]
@@ -174,29 +176,17 @@ def test_children_are_the_best_mutants_under_their_parents_controller(arm, tmp_p
         pick = int(scores.argmax())
         assert mutants[pick].body.text == trained[child]["body"]
         assert np.ptp(scores) > 0
-        if arm != "invariant":  # there the parent's policy may have been tuned since it was played
+        if not config.search:  # there the parent's policy may have been tuned since it was played
             policies = [run.load(f"policy-{trained[child]['parent']:04}")]
-            alone = score_alone(config.make_arena(), [mutants[pick]], policies).score
+            alone = score_alone(env_maker(config), [mutants[pick]], policies).score
             assert scores[pick] == pytest.approx(alone[0], abs=1e-5)
             assert trained[child]["fitness"] >= scores[pick] - 1e-5  # training starts from there
-        if arm == "prescribed":
+        if config.stiffness == 1.5:
             assert set(mutants[pick].field.ravel()) <= {1.0, 1.5}
 
 
-def test_mutants_are_scored_as_if_alone_but_for_rounding():
-    arena = Arena("Dash-v0", "invariant")
-    search = GeneticAlgorithm((2, 3), 5, 20, seed=0)
-    search.tell({item.index: voxels(item) for item in search.ask()})
-    groups = [[item.design for item in group] for group in search.mutants(3)]
-    policies = train_designs(arena, [group[0] for group in groups], PPO).best
-    scores, steps = score_mutants(arena, groups, policies)
-    assert steps == 3 * len(groups) * 8
-    for group, policy, row in zip(groups, policies, scores, strict=True):
-        np.testing.assert_allclose(row, score_alone(arena, group, [policy] * 3).score, rtol=0, atol=1e-6)
-
-
 def test_screening_is_counted():
-    config = replace(TINY, population=3, inherit=True, arm="fixed")
+    config = replace(RUNS["invariant"], population=3, inherit=True)
     plain, screened = (codesign(replace(config, mutants=mutants)) for mutants in (1, 4))
     children = 3
     assert screened.env_steps - plain.env_steps == children * 4 * 8
@@ -223,7 +213,7 @@ def test_a_limit_of_env_steps_ends_no_run_between_screening_and_training():
     assert len(result.rows) == 4
 
 
-def test_screening_needs_inherited_controllers():
+def test_screening_needs_inherited_policies():
     with pytest.raises(ValueError, match=r"mutants: got 3, more than 1 need inherit"):
         replace(TINY, mutants=3)
     with pytest.raises(ValueError, match="method='qd'"):

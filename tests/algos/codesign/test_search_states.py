@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from evogymcm.algos.codesign import GeneticAlgorithm, RandomSearch
+from evogymcm.algos.codesign import GeneticAlgorithm, MapElites, RandomSearch
 from tests.algos.codesign.test_genetic import SHAPE, play
 from tests.algos.tools import through_json, through_torch
 
@@ -12,12 +12,14 @@ from tests.algos.tools import through_json, through_torch
 
 @pytest.mark.parametrize("carry", [through_json, through_torch])
 @pytest.mark.parametrize("is_asked", [False, True])
-@pytest.mark.parametrize("method", ["genetic", "random"])
+@pytest.mark.parametrize("method", [GeneticAlgorithm, RandomSearch, MapElites])
 def test_a_resumed_search_equals_an_uninterrupted_one(carry, is_asked, method):
     def make():
-        if method == "random":
-            return RandomSearch((3, 3), 40, 7, seed=5)
-        return GeneticAlgorithm((3, 3), 6, 40, seed=5, carries_stiffness=True, age_protection=1)
+        more = {"age_protection": 1} if method is GeneticAlgorithm else {}
+        return method((3, 3), 40, 6, seed=5, carries_stiffness=True, **more)
+
+    if method is MapElites:
+        pytest.importorskip("ribs")
 
     def improve(search):
         for individual in search.survivors:
@@ -38,44 +40,70 @@ def test_a_resumed_search_equals_an_uninterrupted_one(carry, is_asked, method):
     assert len(rest) > 10
     assert resumed.state_dict() == whole.state_dict()
     assert resumed.best == whole.best
+    assert resumed.parents == whole.parents
 
 
 def test_a_state_of_other_settings_is_refused():
-    state = GeneticAlgorithm(SHAPE, 4, 8, seed=0).state_dict()
+    state = GeneticAlgorithm(SHAPE, 8, 4, seed=0).state_dict()
     with pytest.raises(ValueError, match="population: got 5, the state has 4; seed: got 1, the state has 0"):
-        GeneticAlgorithm(SHAPE, 5, 8, seed=1).load_state_dict(state)
+        GeneticAlgorithm(SHAPE, 8, 5, seed=1).load_state_dict(state)
     with pytest.raises(ValueError, match="method: got RandomSearch, the state has GeneticAlgorithm"):
         RandomSearch(SHAPE, 8, 4, seed=0).load_state_dict(state)
+
+
+def test_a_state_of_before_goes_on():
+    whole, resumed = (RandomSearch((3, 3), 40, 7, seed=5) for _ in range(2))
+    play(whole, 2)
+    state = whole.state_dict()
+    old = {name: value for name, value in state["settings"].items() if name not in ("mutation_rate", "attempts")}
+    old["batch"] = old.pop("population")
+    resumed.load_state_dict(state | {"settings": old})
+    assert play(resumed) == play(whole)
+    with pytest.raises(ValueError, match="population: got 7, the state has 8"):
+        resumed.load_state_dict(state | {"settings": old | {"batch": 8}})
 
 
 # Bad input
 
 
+@pytest.mark.parametrize("method", [GeneticAlgorithm, RandomSearch, MapElites])
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
         ({"population": 0}, "population: got 0"),
-        ({"population": 2}, "at least 3"),
-        ({"population": 30}, "expected 1 to 20"),
+        ({"population": 2.5}, "population: got 2.5"),
+        ({"budget": 0}, "budget: got 0"),
         ({"shape": (0, 5)}, "shape"),
         ({"shape": (5,)}, "shape"),
+        ({"seed": -1}, "seed: got -1"),
         ({"mutation_rate": 0.0}, "mutation_rate: got 0.0"),
         ({"mutation_rate": 1.5}, "mutation_rate: got 1.5"),
         ({"mutation_rate": np.nan}, "mutation_rate: got nan"),
         ({"attempts": 0}, "attempts: got 0"),
-        ({"age_protection": -1}, "age_protection: got -1"),
+        ({"attempts": np.nan}, "attempts: got nan"),
+        ({"weights": (1, 1, 1, 0, 0)}, "weights: got"),
     ],
 )
-def test_bad_arguments_are_refused(arguments, message):
+def test_bad_arguments_are_refused_by_every_method_alike(method, arguments, message):
+    if method is MapElites:
+        pytest.importorskip("ribs")
+    given = {"shape": SHAPE, "budget": 20, "population": 5, "seed": 0}
+    assert method(*list(given.values())[:3], seed=0, carries_stiffness=True, mutation_rate=0.2).carries_stiffness
     with pytest.raises(ValueError, match=message):
-        GeneticAlgorithm(**({"shape": SHAPE, "population": 5, "budget": 20, "seed": 0} | arguments))
+        method(**given | arguments)
+    with pytest.raises(TypeError, match="rate"):
+        method(**given, rate=0.1)
 
 
-def test_bad_arguments_of_random_search_are_refused():
-    with pytest.raises(ValueError, match="budget: got 0"):
-        RandomSearch(SHAPE, 0, 1, seed=0)
-    with pytest.raises(ValueError, match="batch: got 0"):
-        RandomSearch(SHAPE, 5, 0, seed=0)
+def test_bad_arguments_of_the_genetic_algorithm_are_refused():
+    for arguments, message in (
+        ({"population": 2}, "at least 3"),
+        ({"population": 30}, "expected 1 to 20"),
+        ({"age_protection": -1}, "age_protection: got -1"),
+        ({"age_protection": 0.5}, "age_protection: got 0.5"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            GeneticAlgorithm(**{"shape": SHAPE, "budget": 20, "population": 5, "seed": 0} | arguments)
 
 
 @pytest.mark.parametrize(
@@ -88,7 +116,7 @@ def test_bad_arguments_of_random_search_are_refused():
     ],
 )
 def test_bad_fitness_is_refused_and_changes_nothing(fitness, message):
-    search = GeneticAlgorithm(SHAPE, 3, 6, seed=0)
+    search = GeneticAlgorithm(SHAPE, 6, 3, seed=0)
     search.ask()
     before = search.state_dict()
     with pytest.raises(ValueError, match=message):
@@ -100,7 +128,7 @@ def test_bad_fitness_is_refused_and_changes_nothing(fitness, message):
 
 
 def test_asking_again_gives_the_same():
-    search = GeneticAlgorithm(SHAPE, 3, 6, seed=0)
+    search = GeneticAlgorithm(SHAPE, 6, 3, seed=0)
     assert search.ask() == search.ask()
     assert search.n_designs == 3
     with pytest.raises(RuntimeError, match="no fitness"):

@@ -15,13 +15,13 @@ import torch
 
 from evogymcm.algos import RunFolder, Trainer
 from evogymcm.algos.codesign import codesign
-from tests.algos.codesign.test_codesign import TINY as TINY_CODESIGN
+from tests.algos.codesign.test_codesign import SEARCHING
 from tests.algos.learning.test_real_env import TINY as TINY_TRAINING
 from tests.algos.learning.test_real_env import make_short
 
 ROOT = Path(__file__).parents[3]
 KILLS = 10
-CODESIGN = replace(TINY_CODESIGN, arm="invariant", budget=9, inherit=True, mutants=3)
+CODESIGN = replace(SEARCHING, budget=9, inherit=True, mutants=3)
 CHILD = """
 from tests.algos.learning.test_kill_and_resume import {name}
 print("started", flush=True)

@@ -1,13 +1,13 @@
-"""Training in the simulator: the same weights for any number of threads, and after a kill at any moment."""
+"""Training in the simulator: evaluation on real tasks, and the same weights for any number of threads."""
 
 import functools
-from dataclasses import asdict, replace
+from dataclasses import replace
 
 import pytest
 import torch
 
 import evogymcm as cm
-from evogymcm.algos import PPOConfig, RunFolder, Trainer, evaluate, make_actor
+from evogymcm.algos import PPOConfig, Trainer, evaluate, make_actor
 from evogymcm.envs import SoftRobotEnv
 
 TINY = PPOConfig(
@@ -16,11 +16,6 @@ TINY = PPOConfig(
 SHORT = replace(cm.tasks["Walker-v0"], time_limit=40)  # several episodes in a short run
 make_short = functools.partial(SoftRobotEnv, SHORT, bodies="Walk_Bot", material="reactive", num_threads=1)
 make_walker = functools.partial(SoftRobotEnv, "Walker-v0", bodies="Walk_Bot", material="reactive", num_threads=1)
-
-
-def _train_tiny(folder: str) -> None:
-    """Run in a process of its own, to be killed."""
-    Trainer(make_short, TINY).train(run=RunFolder(folder, asdict(TINY), resume=True))
 
 
 def _weights(result) -> list[torch.Tensor]:

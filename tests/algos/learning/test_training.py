@@ -9,7 +9,8 @@ from dataclasses import asdict, replace
 import pytest
 import torch
 
-from evogymcm.algos import PPOConfig, RunFolder, Trainer, evaluate, load_actor, make_actor
+from evogymcm.algos import PPOConfig, RunFolder, Trainer, TrainingEnv, evaluate, load_actor, make_actor, train
+from evogymcm.envs import SoftRobotEnv
 from tests.algos.toy_env import SMALL, WIDE, ToyEnv
 
 TINY = PPOConfig(total_steps=960, num_worlds=8, rollout_steps=20, epochs=2, minibatch=80, hidden=16, eval_interval=400)
@@ -196,3 +197,22 @@ def test_trainer_keeps_exploring_differently_each_update():
     trainer.update()
     assert not torch.equal(first, trainer.collector.rollout()["action", "actuation"])
     trainer.close()
+
+
+def test_training_environments_fulfil_their_contract():
+    for env in (make_toy(), SoftRobotEnv("Walker-v0", ["HHH", "HH/VV"], num_threads=1)):
+        assert isinstance(env, TrainingEnv)
+        assert env.num_designs == len(set(env.bodies)) if isinstance(env, SoftRobotEnv) else 1
+    assert not isinstance(object(), TrainingEnv)
+
+
+def test_the_words_of_the_last_version_work_with_a_warning():
+    short = replace(TINY, total_steps=160)
+    whole = Trainer(make_toy, short).train()
+    with pytest.warns(DeprecationWarning, match=r"Trainer\(make_env, ppo\).train\(\)"):
+        result = train(make_toy, short)
+    assert _same(_weights(result), _weights(whole))
+    again = Trainer(make_toy, short).train(initial=whole.policy)  # which leaves the policy as it is
+    with pytest.warns(DeprecationWarning, match="now called initial"):
+        result = train(make_toy, short, start_from=whole.policy)
+    assert _same(_weights(result), _weights(again))

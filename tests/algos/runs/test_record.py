@@ -133,7 +133,9 @@ def test_settings_of_training_are_checked():
     ):
         with pytest.raises(ValueError, match=message):
             TrainConfig(**{"task": "Walker-v0"} | wrong)
-    assert TrainConfig("Walker-v0", "HHH/V.V").bodies == ("HHH/V.V",)
+    for bodies in ("HHH/V.V", [Body("HHH/V.V")], np.array([[3, 3, 3], [4, 0, 4]]), [[3, 3, 3], [4, 0, 4]]):
+        assert TrainConfig("Walker-v0", bodies).bodies == ("HHH/V.V",)
+    assert TrainConfig("Walker-v0", ["HHH", Path("robot.npz"), "Walk_Bot"]).bodies == ("HHH", "robot.npz", "Walk_Bot")
     assert TrainConfig("BridgeWalker-v0").resolved().bodies == ("Bridge_Bot",)
     assert TrainConfig("Walker-v0", stiffness=np.float32(0.5)).stiffness == 0.5
     with pytest.raises(ValueError, match="got 2 fields, expected one for each of 1"):

@@ -1,0 +1,96 @@
+"""Co-design of body, material and control, from settings alone.
+
+In the reactive setting bodies evolve, and policies set stiffness; in the invariant one bodies evolve with one given
+stiffness, or with stiffness fields of their own, by material search and fine-tuning of survivors.
+"""
+
+import os
+from collections.abc import Callable
+from contextlib import nullcontext
+from dataclasses import asdict, replace
+
+from evogymcm.algos.codesign.config import CodesignConfig
+from evogymcm.algos.codesign.outcome import CodesignProgress, CodesignResult
+from evogymcm.algos.codesign.run import Codesign
+from evogymcm.algos.codesign.start import check_start
+from evogymcm.algos.runs.folder import RunFolder, stop_on_interrupt
+from evogymcm.algos.runs.origin import find_origin
+from evogymcm.algos.runs.record import RunRecord, best_curve
+
+__all__ = ["codesign"]
+
+
+def codesign(
+    config: CodesignConfig,
+    *,
+    run: RunFolder | str | os.PathLike[str] | None = None,
+    progress: Callable[[CodesignProgress], None] | None = None,
+    should_stop: Callable[[], bool] | None = None,
+) -> CodesignResult:
+    """Runs co-design to the end of its budget, and returns the best design with its policy.
+
+    The same settings and seed give the same result, whether or not the run was stopped and resumed in between.
+
+    Args:
+        config: settings of the run.
+        run: where to keep the run's record, its table, policies and checkpoints. A folder opened to resume is gone on
+            with, and so is the run of a path. None keeps everything in memory.
+        progress: called after every update of a policy and every round of a search.
+        should_stop: asked as often; by default Ctrl-C stops the run after the present update.
+
+    Raises:
+        ValueError: A run of these settings cannot start: there is no such task, or a body that fills the shape does not
+            fit into its world; nothing has been simulated then.
+        ImportError: The package of the method or of the search's proposals is missing.
+    """
+    if run is None:
+        return _to_the_end(Codesign(config), progress, should_stop)
+    settings = asdict(config)
+    if not isinstance(run, RunFolder):
+        check_start(config)  # before there is a folder
+        run = RunFolder(run, settings, resume=True)
+    run.check_settings(settings)
+    with run.lock():
+        state = Codesign(config, run)
+        record = _record(config)
+        record.write(run)
+        result = _to_the_end(state, progress, should_stop)
+        replace(
+            record,
+            finished=result.finished,
+            env_steps=result.env_steps,
+            curve=best_curve(result.rows),
+            best=None if result.best is None else result.best.record(),
+            n_designs=len({row["index"] for row in result.rows}),
+        ).write(run)
+    return result
+
+
+def _to_the_end(
+    state: Codesign,
+    progress: Callable[[CodesignProgress], None] | None,
+    should_stop: Callable[[], bool] | None,
+) -> CodesignResult:
+    """Does all phases that are left, unless it is stopped."""
+    with stop_on_interrupt() if should_stop is None else nullcontext(should_stop) as is_stopped:
+        while not state.is_finished and not is_stopped():
+            if not state.advance(progress, is_stopped):
+                break
+    best = state.ledger.champion
+    policy = None if best is None else state.ledger.policy(best.index)
+    return CodesignResult(best, policy, state.ledger.rows, state.env_steps, state.is_finished)
+
+
+def _record(config: CodesignConfig) -> RunRecord:
+    """Returns what the run is, before anything has come of it."""
+    stiffness = None if config.material == "reactive" or config.search else config.stiffness
+    return RunRecord(
+        "codesign",
+        config.task,
+        label=config.material if stiffness is None else f"stiffness {stiffness:g}",
+        material=config.material,
+        stiffness=stiffness,
+        edge_rule=config.edge_rule,
+        seed=config.seed,
+        origin=find_origin(),
+    )

@@ -1,0 +1,70 @@
+"""What a run of co-design does, phase by phase: for the run itself, and for what it costs."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+from evogymcm.algos.codesign.body_ppo import BodyPPOConfig
+from evogymcm.algos.codesign.config import CodesignConfig
+from evogymcm.algos.codesign.genetic import survivor_count
+from evogymcm.algos.codesign.halving import HalvingSchedule
+from evogymcm.algos.learning.seeding import derived_seed
+
+__all__ = ["Training", "finetuning", "generations", "phases", "search_seed", "trainings"]
+
+_TRAIN, _SEARCH, _FINETUNE = 0, 1, 2  # stages of a generation with draws of their own
+
+
+@dataclass(frozen=True)
+class Training:
+    """A training of several bodies side by side.
+
+    Attributes:
+        name: what its folder is called, within that of the generation.
+        bodies: how many train.
+        ppo: settings of one of them.
+        kept: how many go on to the next training of the generation; None after the last one.
+    """
+
+    name: str
+    bodies: int
+    ppo: BodyPPOConfig
+    kept: int | None = None
+
+
+def generations(config: CodesignConfig) -> Iterator[tuple[int, int]]:
+    """Yields the new bodies of each generation, the first one first, and the most that survive it and are worked on."""
+    done = survivors = 0
+    while done < config.budget:
+        new = min(config.population - survivors, config.budget - done)
+        done += new
+        survivors = survivor_count(config.population, config.budget, done) if config.method == "ga" else 0
+        yield new, new if config.method == "qd" else survivors
+
+
+def phases(config: CodesignConfig, generation: int, survivors: int = 0) -> list[str]:
+    """Returns the phases of a generation in order; the first one has no parents whose mutants could be screened."""
+    screen = ["screen"] if config.mutants > 1 and generation else []
+    return [*screen, "train", *(["search", "finetune"] if config.search and survivors else [])]
+
+
+def trainings(config: CodesignConfig, generation: int, bodies: int) -> Iterator[Training]:
+    """Yields the trainings of a generation's new bodies: one, or one up to each rung of successive halving."""
+    halving = HalvingSchedule(config.rungs, config.keep)
+    for rung, part in enumerate(pairwise((0.0, *halving.rungs, 1.0))):
+        steps = max(1, round(config.ppo.total_steps * (part[1] - part[0])))
+        seed = derived_seed(config.seed, generation, _TRAIN, rung)
+        kept = halving.count(rung, bodies) if rung < len(halving.rungs) else None
+        yield Training(f"train-{rung}", bodies, replace(config.ppo, total_steps=steps, schedule=part, seed=seed), kept)
+        bodies = kept or bodies
+
+
+def finetuning(config: CodesignConfig, generation: int, survivors: int) -> Training:
+    """Returns the fine-tuning of a generation's survivors."""
+    ppo = config.ppo.finetuning(config.finetune_steps)
+    return Training("finetune", survivors, replace(ppo, seed=derived_seed(config.seed, generation, _FINETUNE, 0)))
+
+
+def search_seed(config: CodesignConfig, generation: int) -> int:
+    """Returns the seed of a generation's material search."""
+    return derived_seed(config.seed, generation, _SEARCH, 0)

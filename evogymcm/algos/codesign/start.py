@@ -1,0 +1,51 @@
+"""What a run of co-design begins with: its search over bodies, its environments, and whether it can begin at all."""
+
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from evogymcm.algos.codesign.body_search import DesignSearch
+from evogymcm.algos.codesign.config import CodesignConfig
+from evogymcm.algos.codesign.genetic import GeneticAlgorithm
+from evogymcm.algos.codesign.map_elites import MapElites
+from evogymcm.algos.codesign.random_search import RandomSearch
+from evogymcm.algos.codesign.stiffness_proposals import load_cma
+from evogymcm.body import H_ACT, Body
+from evogymcm.envs import SoftRobotEnv
+
+__all__ = ["check_start", "env_maker", "make_body_search"]
+
+_METHODS: dict[str, type[DesignSearch]] = {"ga": GeneticAlgorithm, "random": RandomSearch, "qd": MapElites}
+
+
+def make_body_search(config: CodesignConfig) -> DesignSearch:
+    """Returns the search over bodies, before its first generation.
+
+    Raises:
+        ImportError: Its package is missing.
+    """
+    options: dict[str, Any] = {name: getattr(config, name) for name in ("seed", "mutation_rate", "attempts", "weights")}
+    if config.method == "ga":
+        options["age_protection"] = config.age_protection
+    options["carries_stiffness"] = config.search is not None and config.method != "random"
+    return _METHODS[config.method](config.shape, config.budget, config.population, **options)
+
+
+def env_maker(config: CodesignConfig) -> partial[SoftRobotEnv]:
+    """Returns what makes the run's environments, see `train_designs`."""
+    options: dict[str, Any] = {name: getattr(config, name) for name in ("material", "edge_rule", "num_threads")}
+    return partial(SoftRobotEnv, config.task, **options)
+
+
+def check_start(config: CodesignConfig) -> None:
+    """Makes sure that a run can start: raises what would be raised only in the first generation.
+
+    Raises:
+        ValueError: There is no such task, or a body that fills the shape does not fit into its world.
+        ImportError: The package of the method or of the search's proposals is missing.
+    """
+    make_body_search(config)
+    if config.search and config.search.proposal == "cma":
+        load_cma()
+    env_maker(config)(bodies=[Body(np.full(config.shape, H_ACT))], num_worlds=1, seed=0).close(raise_if_closed=False)

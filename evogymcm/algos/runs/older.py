@@ -1,0 +1,32 @@
+"""Settings of runs of earlier versions, in the words of today."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from evogymcm._settings import check_choice
+
+__all__ = ["of_arm", "present_settings"]
+
+_ARMS = ("reactive", "fixed", "invariant", "prescribed")
+
+
+def of_arm(arm: str, prescribed: Any, search: Any) -> dict[str, Any]:
+    """Returns what co-design calls an arm of before: its material, stiffness, and search of stiffness fields or None.
+
+    Raises:
+        ValueError: There was no such arm.
+    """
+    check_choice("arm", arm, _ARMS)
+    return {
+        "material": "reactive" if arm == "reactive" else "invariant",
+        "stiffness": prescribed if arm == "prescribed" else 1.0,
+        "search": search if arm == "invariant" else None,
+    }
+
+
+def present_settings(config: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Returns the saved settings of a run as a run of today has them."""
+    if not {"arm", "prescribed", "search"} <= config.keys():
+        return config
+    rest = {name: value for name, value in config.items() if name not in ("arm", "prescribed")}
+    return rest | of_arm(config["arm"], config["prescribed"], config["search"])
