@@ -34,7 +34,7 @@ Ctrl-C stops at the end of the present update; --resume goes on from there.
 examples:
   evogymcm train Walker-v0 --body Walk_Bot --total-steps 200000
   evogymcm train Walker-v0 --body HHH/V.V --material invariant --stiffness 2,2,2/0.5,1,0.5
-  evogymcm train Walker-v0 --random-bodies 5 5 --num-worlds 256 --hidden 64
+  evogymcm train Walker-v0 --random-bodies 5 5 --hidden 64
   evogymcm train --world terrain.json --body robot.npz
   evogymcm train Walker-v0 --body Walk_Bot --run runs/first --logger csv
   evogymcm train Walker-v0 --body Walk_Bot --run runs/first --logger csv --resume"""

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 import torch
 
-import evogymcm as cm
 from evogymcm.algos import PPOConfig, RunFolder, Trainer, load_policy, train
 from evogymcm.algos.learning import TrainConfig
 from evogymcm.algos.learning.bodies import RandomBodies, held_out_bodies
@@ -17,15 +16,10 @@ TINY = PPOConfig(total_steps=768, num_worlds=8, rollout_steps=16, epochs=1, mini
 CONFIG = TrainConfig("Sprint-v0", random_bodies=(3, 3), ppo=replace(TINY, eval_worlds=5))
 
 
-@pytest.fixture
-def sprint(monkeypatch):
-    """A task whose episodes are over after 12 env-steps."""
-    task = replace(cm.tasks["Walker-v0"], id="Sprint-v0", time_limit=12)
-    cm.register_task(task, replace=True)
-    return task
+pytestmark = pytest.mark.usefixtures("sprint")  # whose episodes have 12 env-steps
 
 
-def test_training_meets_ever_new_bodies_and_evaluations_the_same_others(sprint):
+def test_training_meets_ever_new_bodies_and_evaluations_the_same_others():
     with make_trainer(CONFIG, num_threads=1) as trainer:
         seen, env = set(), trainer._env
         while not trainer.is_finished:
@@ -41,7 +35,7 @@ def test_training_meets_ever_new_bodies_and_evaluations_the_same_others(sprint):
     assert env.grid_shape == played[0].grid_shape == (3, 3)
 
 
-def test_a_stopped_run_goes_on_with_the_same_bodies(sprint, tmp_path):
+def test_a_stopped_run_goes_on_with_the_same_bodies(tmp_path):
     whole = train(CONFIG, num_threads=1)
     calls = iter(range(100))
     train(CONFIG, run=tmp_path / "run", should_stop=lambda: next(calls) >= 2, num_threads=1)
@@ -78,7 +72,7 @@ def test_random_bodies_have_the_stiffness_that_is_given():
         ({"ppo": replace(TINY, device="abacus")}, "device: got 'abacus', which torch cannot use here"),
     ],
 )
-def test_what_does_not_go_together_is_said(sprint, wrong, said):
+def test_what_does_not_go_together_is_said(wrong, said):
     with pytest.raises(ValueError, match=said):
         make_trainer(replace(CONFIG, **wrong), num_threads=1)
 
