@@ -31,6 +31,17 @@ _loop: Any = numba.njit(error_model="numpy", _nrt=False)
 
 
 @cache
+def called(kernel: Any) -> Callable[..., Any]:
+    """Returns what calls a kernel that only kernels can call."""
+
+    @_loop
+    def run(arguments: Any) -> Any:
+        return kernel(*arguments)
+
+    return run
+
+
+@cache
 def repeated(kernel: Any) -> Callable[..., None]:
     """Returns a compiled loop that calls a kernel `_N` times."""
 
@@ -69,8 +80,8 @@ def parts(simulator: Simulator, world: int, listings: float) -> list[tuple[str, 
     contacts = contact.Contacts(integers[3], np.zeros((_ROOM, contact.N_HOW)), integers[4], sorting)
     pairs = np.zeros((_ROOM, candidates.N_FOUND), np.int32), np.zeros((cells * cells, 2), np.int32)
     lists = (layout, terrain, xy, aligned_zeros(4, on_lines(cells) + 8), *pairs)
-    n_found, _ = candidates.list_candidates(*lists)
-    n = contact.find_contacts(layout, terrain, xy, pairs[0], n_found, contacts)
+    n_found, _ = called(candidates.list_candidates)(lists)
+    n = called(contact.find_contacts)((layout, terrain, xy, pairs[0], n_found, contacts))
     stage = (tables, state, scratch, scratch.second_v, scratch.third_v, 0.5, physics)
     push = (layout, terrain, xy, state.old, contacts, n, scratch.contact, physics)
     return [

@@ -5,6 +5,7 @@ import sys
 import numpy as np
 
 import evogymcm as cm
+from evogymcm.algos.learning import play
 from evogymcm.envs import Renderer, TaskEngine, sine_gait, write_video
 
 
@@ -14,12 +15,8 @@ def main(path: str = "population.mp4", steps: int = 150) -> None:
     engine = TaskEngine("Walker-v0", [cm.sample_body((5, 5), rng) for _ in range(12)], material="reactive")
     renderer = Renderer(engine, width=1280, height=640)
 
-    def frames():
-        for _ in range(steps):
-            engine.step(*sine_gait(engine))
-            yield renderer.grid(columns=4)
-
-    print(f"wrote {write_video(path, frames())}; best return {engine.returns.max():.2f}")
+    frames = (renderer.grid(columns=4) for _ in play(sine_gait, engine, steps=steps))
+    print(f"wrote {write_video(path, frames)}; best return {engine.returns.max():.2f}")
 
 
 if __name__ == "__main__":

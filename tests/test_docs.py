@@ -2,6 +2,7 @@
 
 import contextlib
 import io
+import pkgutil
 import re
 import sys
 import types
@@ -88,6 +89,13 @@ def test_pages_are_in_the_navigation_and_link_to_files_that_exist():
         assert f": {page}.md\n" in navigation
         for target in re.findall(r"\]\(([^)#:]+)(?:#[^)]*)?\)", text):
             assert (ROOT / "docs" / target).exists(), f"{page}: {target}"
+
+
+def test_functions_of_the_journeys_exist():
+    names = set(re.findall(r"`(evogymcm(?:\.\w+)+)`", PAGES["architecture"]))
+    assert len(names) > 30
+    for name in names:
+        pkgutil.resolve_name(name)  # raises where there is none
 
 
 def test_commands_of_the_pages_exist(capsys):

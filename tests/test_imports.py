@@ -38,7 +38,16 @@ def imported_modules(path):
             yield from (f"{node.module}.{alias.name}" for alias in node.names)
 
 
-@pytest.mark.parametrize("module", ["evogymcm", "evogymcm.sim", "evogymcm.sim.world", "evogymcm.algos.codesign.config"])
+@pytest.mark.parametrize(
+    "module",
+    [
+        "evogymcm",
+        "evogymcm.sim",
+        "evogymcm.sim.world",
+        "evogymcm.algos.codesign.config",
+        "evogymcm.algos.learning.playing",
+    ],
+)
 def test_import_loads_no_torch(module):
     loaded = run(f"import sys, {module}; print(*sys.modules)").split()
     assert not {"torch", "torchrl", "tensordict"} & set(loaded)

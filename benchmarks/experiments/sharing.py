@@ -241,7 +241,7 @@ class ArmJob:
                 progress=lambda state: tell(before + state.env_steps, state.row.get("score")),
                 should_stop=should_stop,
             )
-            training[policy] = _training_record(place.rows(), trained, ppo, len(designs[bodies]))
+            training[policy] = _training_record(place.rows(), trained, len(designs[bodies]))
             if trained.finished:
                 score(bodies, policy, trained.last)
             return trained
@@ -272,17 +272,12 @@ def untrained_policy(make_env: MakeEnv, designs: Sequence[Design], ppo: PPOConfi
     return {"form": actor.form, "actor": actor.state_dict()}
 
 
-def _training_record(rows: Sequence[Mapping[str, Any]], trained: Trained, ppo: PPOConfig, count: int) -> Record:
-    """Returns what is to be told of a training of `count` bodies; its times are those of all sittings."""
-    steps, seconds = rows[-1]["env_steps"], rows[-1]["seconds"]
+def _training_record(rows: Sequence[Mapping[str, Any]], trained: Trained, count: int) -> Record:
+    """Returns what is to be told of a training of `count` bodies; its seconds are those of all sittings."""
     return {
-        "ppo_of_a_body": asdict(ppo),
-        "bodies": count,
         "finished": trained.finished,
-        "env_steps": steps,
-        "evaluation_steps": trained.env_steps - steps,
-        "seconds": seconds,
-        "env_steps_per_s": steps / max(seconds, 1e-9),
+        "env_steps": rows[-1]["env_steps"],
+        "seconds": rows[-1]["seconds"],
         "best_scores": trained.scores.tolist(),
         "curve": [[row["env_steps"] / count, row["score"]] for row in rows if "score" in row],
     }

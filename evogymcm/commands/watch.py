@@ -1,10 +1,10 @@
 """`evogymcm watch`: robots at work, in a window or a file."""
 
 import importlib.util
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 from tyro.conf import arg
@@ -16,11 +16,11 @@ from evogymcm.commands._options import choose_task, read_stiffness
 
 if TYPE_CHECKING:  # torch and numba are loaded when the command runs, not for its help
     import numpy as np
+    from tensordict.nn import TensorDictModuleBase
 
-    from evogymcm.envs import SoftRobotEnv
+    from evogymcm.algos.learning.playing import Gait
+    from evogymcm.envs import SoftRobotEnv, TaskEngine
     from evogymcm.envs.render.renderer import Renderer
-
-    Policy = Callable[[Any], Any]
 
 DESCRIPTION = """Shows an episode, in a window or as a video, and prints the scores.
 
@@ -84,28 +84,28 @@ def run(options: Options, arguments: Sequence[str]) -> int:
         from evogymcm.envs.render.renderer import Renderer
 
         env, policy = _worlds(options)
-        renderer = Renderer(env.engine, options.width, options.height, options.view)
-        out = _out(options.out, env.task.id)
-    steps = options.steps or env.task.time_limit
-    _show(_pictures(env, policy, renderer, steps, options.every), env.task.id, out, options.every)
-    engine = env.engine
+        renderer = Renderer(env, options.width, options.height, options.view)
+        engine = renderer.engine
+        out = _out(options.out, engine.task.id)
+    steps = options.steps or engine.task.time_limit
+    _show(_pictures(env, policy, renderer, steps, options.every), engine.task.id, out, options.every)
     for world, body in enumerate(engine.bodies):
         print(f"{body.text}: {engine.length[world]} env-steps, score {engine.score[world]:.3f}")
     return 0
 
 
-def _worlds(options: Options) -> "tuple[SoftRobotEnv, Policy]":
+def _worlds(options: Options) -> "tuple[TaskEngine | SoftRobotEnv, TensorDictModuleBase | Gait]":
     """Returns the worlds and what drives them."""
-    from evogymcm.algos.runs import load_policy
     from evogymcm.body import as_body
-    from evogymcm.envs import SoftRobotEnv
-    from evogymcm.envs.gaits import sine_gait
+    from evogymcm.envs import TaskEngine, sine_gait
 
     if options.policy is None:
         task = choose_task(options.task, options.world)
         shown = [as_body(body) for body in options.body or [default_body(task)]]
         fields, material = read_stiffness(options.stiffness, shown), options.material or "reactive"
-        return SoftRobotEnv(task, shown, material=material, stiffness=fields), sine_gait
+        return TaskEngine(task, shown, material=material, stiffness=fields, with_voxels=False), sine_gait
+    from evogymcm.algos.runs import load_policy
+
     saved = load_policy(options.policy)
     if options.material not in (None, saved.material):
         raise ValueError(f"material: got {options.material!r}, the policy was trained with {saved.material!r}")
@@ -117,32 +117,20 @@ def _worlds(options: Options) -> "tuple[SoftRobotEnv, Policy]":
 
 
 def _pictures(
-    env: "SoftRobotEnv", policy: "Policy", renderer: "Renderer", steps: int, every: int
+    env: "TaskEngine | SoftRobotEnv",
+    policy: "TensorDictModuleBase | Gait",
+    renderer: "Renderer",
+    steps: int,
+    every: int,
 ) -> "Iterator[np.ndarray]":
     """Yields pictures until the steps are done or all episodes have ended."""
-    engine, state = env.engine, env.reset()
-    for step in range(steps + 1):
-        going = ~(engine.terminated | engine.truncated)
-        is_last = step == steps or not going.any()
-        if step % every == 0 or is_last:
+    from evogymcm.algos.learning import play
+
+    engine = renderer.engine
+    engine.set_seed(0)  # the same episode whenever it is watched
+    for now in play(policy, env, steps=steps):
+        if now.step % every == 0 or now.step == steps or not now.running.any():
             yield renderer.frame() if engine.num_worlds == 1 else renderer.grid()
-        if not is_last:
-            state = _step(env, policy, state, going)
-
-
-def _step(env: "SoftRobotEnv", policy: "Policy", state: Any, going: "np.ndarray") -> Any:
-    """Advances the worlds whose episodes have not ended."""
-    import torch
-
-    from evogymcm.algos.learning.threads import exploration
-
-    if not hasattr(policy, "in_keys"):
-        env.engine.step(*policy(env.engine), going)
-        return state
-    with torch.no_grad(), exploration(False):
-        action = policy(state)["action"]
-    env.engine.step(*(action[name].numpy() for name in ("actuation", "stiffness") if name in action.keys()), mask=going)
-    return state.update({key: torch.from_numpy(value) for key, value in env._observations().items()})
 
 
 def _out(given: Path | None, task: str) -> Path | None:

@@ -147,20 +147,24 @@ class TaskEngine(Observed, Episodes):
         Args:
             actuation: (N, V) actuation, clipped to [0.6, 1.6]; cells without an actuator have no effect.
             stiffness: (N, V) stiffness, clipped to [0.5, 2]: needed in the reactive setting, not allowed otherwise.
-            mask: (N,) bool, the worlds to advance; all by default. The others keep everything.
+            mask: (N,) bool, the worlds to advance; all by default. The others keep everything, and nothing is asked of
+                their actions.
 
         Raises:
             ValueError: For another shape, or NaN at a voxel that uses the number.
         """
-        given = checked_action("actuation", actuation, self.actuators, ACTUATION_LOW, ACTUATION_HIGH)
+        actuators, occupancy = self.actuators, self.occupancy
+        if mask is not None:
+            mask = checks.checked_mask(mask, self.num_worlds)
+            actuators, occupancy = actuators & mask[:, None], occupancy & mask[:, None]
+        given = checked_action("actuation", actuation, actuators, ACTUATION_LOW, ACTUATION_HIGH)
         factors = None
         if stiffness is not None or self.material == "reactive":
-            factors = self._checked_stiffness(stiffness)
+            factors = self._checked_stiffness(stiffness, occupancy)
         if mask is None:
             self.actuation = given
             self.stiffness = self.stiffness if factors is None else factors
         else:
-            mask = checks.checked_mask(mask, self.num_worlds)
             self.actuation[mask] = given[mask]
             if factors is not None:
                 self.stiffness[mask] = factors[mask]
@@ -177,13 +181,13 @@ class TaskEngine(Observed, Episodes):
             reader.keep(~mask)
         self._settle(reader.before, reader.now, unstable, mask)
 
-    def _checked_stiffness(self, stiffness: np.ndarray | None) -> np.ndarray:
-        """Returns the stiffness of an action; ValueError where it is not right, missing, or not to be given."""
+    def _checked_stiffness(self, stiffness: np.ndarray | None, occupancy: np.ndarray) -> np.ndarray:
+        """Returns the stiffness of an action, see `checked_action`; ValueError where it is missing or not wanted."""
         if stiffness is None:
             raise ValueError(f"stiffness: the {self.material} setting needs stiffness in every action")
         if self.material != "reactive":
             raise ValueError(f"stiffness: the {self.material} setting takes no stiffness in its actions")
-        return checked_action("stiffness", stiffness, self.occupancy, STIFFNESS_LOW, STIFFNESS_HIGH)
+        return checked_action("stiffness", stiffness, occupancy, STIFFNESS_LOW, STIFFNESS_HIGH)
 
     def set_seed(self, seed: int | Sequence[int | None] | None) -> None:
         """Seeds random resets and streams: one seed a world, or one for the first, from which the others count up.

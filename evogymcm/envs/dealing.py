@@ -3,17 +3,18 @@
 import os
 from collections.abc import Sequence
 from operator import index
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 
 from evogymcm._messages import brief
+from evogymcm._settings import Material
 from evogymcm.body import Body, as_body, check_stiffness, is_body_text
 from evogymcm.envs import checks
 from evogymcm.envs.task import Task
 from evogymcm.sim.world import ROBOT, World, WorldObject
 
-MATERIALS = ("invariant", "reactive")
+MATERIALS = get_args(Material)
 
 BodySpec = Body | str | os.PathLike[str] | np.ndarray | Sequence[Any]
 

@@ -171,7 +171,11 @@ class PopulationEnv(Adapter, EnvBase):
             given = tensordict.get((group, "action"), None)
             parts = check_action(given, (group, "action"), self._heads, (*shape, self.engine.occupancy.shape[1]))
             actions.append(TensorDict({"action": dict(zip(self._heads, parts, strict=True))}, batch_size=shape))
-        return self._group(self.worlds._step(self._ungroup(actions)))
+        worlds, copies = self._ungroup(actions), tensordict.get("_step", None)  # TorchRL's flag of those to advance
+        if copies is not None:
+            chosen = copies.reshape(*self.batch_size, 1).expand(*self.batch_size, self.num_bodies)
+            worlds.set("_step", chosen.reshape(self.worlds.batch_size))
+        return self._group(self.worlds._step(worlds))
 
     def render(self, width: int = 640, height: int = 320, view: str = "types") -> torch.Tensor:
         """Returns a picture of all bodies, uint8 [height, width, 3], or with copies one of each, see `Renderer.grid`.

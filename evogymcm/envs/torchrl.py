@@ -27,7 +27,8 @@ class SoftRobotEnv(Adapter, EnvBase):
     TorchRL, and so the import of this class, makes "spawn" the start method of the process where none was set before.
 
     Bodies are padded to the largest grid, V cells, each in the upper left corner; `occupancy` and `actuators` say which
-    cells count. Numbers in other cells of an action are ignored.
+    cells count. Numbers in other cells of an action are ignored. With TorchRL's `"_step"` ([N] bool) beside the action,
+    the worlds where it is false are not simulated and keep everything, with a reward of 0.
 
     | key | shape | what |
     | --- | --- | --- |
@@ -138,7 +139,10 @@ class SoftRobotEnv(Adapter, EnvBase):
     def _step(self, tensordict: TensorDictBase) -> TensorDict:
         engine = self.engine
         given = check_action(tensordict.get("action", None), ("action",), self._heads, engine.occupancy.shape)
-        engine.step(*(values.detach().cpu().numpy() for values in given))
+        actions = [values.detach().cpu().numpy() for values in given]
+        chosen = tensordict.get("_step", None)  # TorchRL's flag of the worlds to advance
+        mask = None if chosen is None else chosen.reshape(engine.num_worlds).cpu().numpy()
+        engine.step(actions[0], actions[1] if len(actions) > 1 else None, mask)
         values = self._observations()
         values["reward"] = engine.reward[:, None].astype(np.float32)
         values["terminated"] = engine.terminated[:, None].copy()

@@ -5,7 +5,6 @@ import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -13,7 +12,7 @@ from evogymcm.algos.runs.record import KINDS, Row, RunRecord
 from evogymcm.report.sources import Arm
 from evogymcm.report.tables import tasks_of
 
-__all__ = ["Scene", "choose_scenes", "gif_uri", "play"]
+__all__ = ["Scene", "animate", "choose_scenes", "gif_uri"]
 
 MOST, LARGEST = 4, 400_000  # animations; bytes of a GIF
 STEPS, EVERY = 250, 4  # env-steps that are shown, and of which every fourth is drawn
@@ -25,9 +24,9 @@ class Scene:
     """What to show.
 
     Attributes:
-        run: whose policy.
-        arm: its label.
-        policy: the file.
+        run: the run whose policy acts.
+        arm: label of the run's arm.
+        policy: file of the policy.
         design: a record of the body and its stiffness in co-design, None in training.
     """
 
@@ -72,50 +71,27 @@ def scene_of(run: RunRecord, arm: str) -> Scene | str:
     return Scene(run, arm, policy, best) if policy.is_file() else f"{run.name}: there is no {policy.name}."
 
 
-def play(scene: Scene) -> tuple[str, str]:
+def animate(scene: Scene) -> tuple[str, str]:
     """Returns the GIF as a data URI, and its caption.
 
     Raises:
         ImportError: A package of the extra `render` is missing.
         ValueError: The policy or design cannot be used, or the GIF would be too large.
     """
-    env, actor, material = _stage(scene)
-    frames = _frames(env, actor)
-    run, engine = scene.run, env.engine
+    from evogymcm.algos.learning import play
+    from evogymcm.algos.runs import load_policy
+    from evogymcm.envs import Renderer
+
+    run, saved = scene.run, load_policy(scene.policy)
+    env = saved.make_env(1, task=run.task, num_threads=1)
+    renderer, episode = Renderer(env, WIDTH, HEIGHT), play(saved.module(env), env, steps=STEPS)
+    frames = [renderer.frame() for now in episode if now.step % EVERY == 0 or not now.running.any()]
     which = f"number {scene.design['index']}" if scene.design else f"{scene.policy.stem} policy"
     seed = "" if run.seed is None else f", seed {run.seed}"
-    caption = f"{run.task}, {scene.arm}{seed}: {which}, {material} stiffness, env-steps 0 to {int(engine.length[0])}"
+    caption = (
+        f"{run.task}, {scene.arm}{seed}: {which}, {saved.material} stiffness, env-steps 0 to {env.engine.length[0]}"
+    )
     return gif_uri(frames), caption
-
-
-def _stage(scene: Scene) -> tuple[Any, Any, str]:
-    """Returns a world with the design, the policy, and the material setting."""
-    from evogymcm.algos.runs import load_policy
-
-    policy = load_policy(scene.policy)
-    env = policy.make_env(1, task=scene.run.task, num_threads=1)
-    return env, policy.module(env), policy.material
-
-
-def _frames(env: Any, actor: Any) -> list[np.ndarray]:
-    """Returns pictures of the episode's first env-steps under deterministic actions."""
-    import torch
-
-    from evogymcm.algos.learning.threads import exploration
-    from evogymcm.envs.render.renderer import Renderer
-
-    renderer = Renderer(env.engine, WIDTH, HEIGHT)
-    with torch.no_grad(), exploration(False):
-        state = env.reset()
-        frames = [renderer.frame()]
-        for step in range(1, STEPS + 1):
-            state = env.step(actor(state))["next"]
-            is_done = bool(state["done"].item())
-            if step % EVERY == 0 or is_done:
-                frames.append(renderer.frame())
-            if is_done:
-                break
-    return frames
 
 
 def gif_uri(frames: Sequence[np.ndarray], largest: int = LARGEST) -> str:

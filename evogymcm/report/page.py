@@ -163,13 +163,13 @@ def _signals(arms: Sequence[Arm]) -> list[Section]:
 
 def _animations(arms: Sequence[Arm]) -> list[Section]:
     """The best designs in motion, or why there are none."""
-    from evogymcm.report.animations import choose_scenes, play
+    from evogymcm.report.animations import animate, choose_scenes
 
     scenes, notes = choose_scenes(arms)
     pictures = []
     for scene in scenes:
         try:
-            uri, caption = play(scene)
+            uri, caption = animate(scene)
         except ImportError as error:
             return [Section("Best designs in motion", [Note(f"Left out: {error}")])]
         except ValueError as error:

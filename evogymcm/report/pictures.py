@@ -88,10 +88,10 @@ def cells_svg(
     """Returns values (rows, cols) as coloured squares with numbers; NaN is a pale square without one.
 
     Args:
-        values: of the cells.
+        values: (rows, cols) what is shown.
         occupancy: where there are voxels; other cells stay empty.
         colours: returns (n, 3) colours of (n,) values.
-        form: of the numbers.
+        form: format of the numbers.
         hints: what to tell of each occupied cell, row-major, when it is pointed at.
     """
     cells = np.argwhere(occupancy)

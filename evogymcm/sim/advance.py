@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from evogymcm.sim._jit import inlined, kernel
+from evogymcm.sim._jit import inlined, inner, kernel
 from evogymcm.sim.candidates import N_FOUND, collapsed, list_candidates, lists_hold
 from evogymcm.sim.constants import MISSING, PhysicsValues
 from evogymcm.sim.contact import N_HOW, N_WHICH, Contacts, Sorting, apply_contacts, find_contacts
@@ -65,7 +65,7 @@ def new_scratch(room: Room) -> Scratch:
     return Scratch(aligned_zeros(floats), memory, np.zeros(6 * room.contacts, np.uint64))
 
 
-@kernel
+@inner
 def set_goals(layout: Layout, goal: np.ndarray, actuation: np.ndarray) -> None:
     """Sets the lengths that actuators drive their edges to, from one number for each cell, relative to rest."""
     for i in range(0, layout.driven.shape[0], 3):
@@ -76,7 +76,7 @@ def set_goals(layout: Layout, goal: np.ndarray, actuation: np.ndarray) -> None:
         goal[s] = layout.rest[s] * target
 
 
-@kernel
+@inner
 def set_constants(layout: Layout, constant: np.ndarray, factor: np.ndarray, stiffness: np.ndarray) -> None:
     """Sets spring constants or their factors, by the edge rule, from one stiffness factor for each cell."""
     for i in range(layout.owned.shape[0] // 3):
@@ -100,7 +100,7 @@ def set_stiffness(storage: Storage, worlds: np.ndarray, stiffness: np.ndarray) -
         set_constants(layout, part(row, 3 * m, s), part(row, 3 * m + s, s), stiffness[w])
 
 
-@kernel
+@inner
 def _is_finite(xy: np.ndarray, v: np.ndarray) -> bool:
     """Returns whether all positions and velocities are finite."""
     for i in range(0, xy.shape[0], 8):
@@ -109,7 +109,7 @@ def _is_finite(xy: np.ndarray, v: np.ndarray) -> bool:
     return True
 
 
-@kernel
+@inner
 def _copy(source: np.ndarray, target: np.ndarray) -> None:
     for i in range(0, source.shape[0], 8):
         store(target, i, load(source, i))

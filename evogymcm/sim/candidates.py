@@ -7,7 +7,7 @@ of their own (`contact.py`), so that the moment of listing cannot be seen in a r
 
 import numpy as np
 
-from evogymcm.sim._jit import inlined, kernel
+from evogymcm.sim._jit import inlined, inner
 from evogymcm.sim.constants import MISSING, VOXEL
 from evogymcm.sim.tables import (
     END_CELL,
@@ -39,7 +39,7 @@ def lists_hold(xy: np.ndarray, listed: np.ndarray) -> bool:
     return still == 255
 
 
-@kernel
+@inner
 def bound(corners: np.ndarray, xy: np.ndarray, boxes: np.ndarray) -> None:
     """Sets the (4, C or more) bounding boxes of the moving surface voxels."""
     for c in range(corners.shape[0] // 4):
@@ -82,7 +82,7 @@ def _append(layout: Surface, terrain: Terrain, place: int, c: int, found: np.nda
     return n + 1
 
 
-@kernel
+@inner
 def _list_points(
     layout: Surface,
     terrain: Terrain,
@@ -125,7 +125,7 @@ def _near(one: tuple, two: tuple, margin: float) -> bool:
     )
 
 
-@kernel
+@inner
 def _object_box(layout: Surface, xy: np.ndarray, first: int, end: int) -> tuple[float, float, float, float]:
     """Returns the box around the surface points between two places: some are corners of fixed voxels alone."""
     low_x, low_y, high_x, high_y = np.inf, np.inf, -np.inf, -np.inf
@@ -158,7 +158,7 @@ def _lines(low: float, high: float, n_cells: int) -> tuple[int, int]:
     return _range(first, last, n_cells + 1)
 
 
-@kernel
+@inner
 def _list_near_fixed(
     layout: Surface, terrain: Terrain, first: int, end: int, xy: np.ndarray, found: np.ndarray, n: int
 ) -> int:
@@ -179,7 +179,7 @@ def _list_near_fixed(
     return n
 
 
-@kernel
+@inner
 def _list_fixed_near(
     layout: Surface, terrain: Terrain, first: int, end: int, boxes: np.ndarray, found: np.ndarray, n: int
 ) -> int:
@@ -209,7 +209,7 @@ def _list_fixed_near(
     return n
 
 
-@kernel
+@inner
 def _list_crowded(layout: Surface, boxes: np.ndarray, crowded: np.ndarray) -> int:
     """Lists the pairs of the robot's voxels, more than a cell apart in the grid, that are near each other."""
     n, first, end = 0, layout.objects[FIRST_CELL], layout.objects[END_CELL]
@@ -231,7 +231,7 @@ def _list_crowded(layout: Surface, boxes: np.ndarray, crowded: np.ndarray) -> in
     return n
 
 
-@kernel
+@inner
 def list_candidates(
     layout: Surface, terrain: Terrain, xy: np.ndarray, boxes: np.ndarray, found: np.ndarray, crowded: np.ndarray
 ) -> tuple[int, int]:

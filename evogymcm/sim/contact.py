@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from evogymcm.sim._jit import inlined, kernel
+from evogymcm.sim._jit import inlined, inner
 from evogymcm.sim.candidates import position
 from evogymcm.sim.constants import MISSING, PhysicsValues
 from evogymcm.sim.contact_order import CONTACT, add_keys, sort_keys
@@ -238,7 +238,7 @@ def _is_ordered(contacts: Contacts, n: int) -> bool:
     return found
 
 
-@kernel
+@inner
 def _refresh(layout: Surface, terrain: Terrain, xy: np.ndarray, k: int, boxes: np.ndarray) -> None:
     """Sets the boxes of the nodes of object `k`'s tree."""
     for node in range(layout.node_start[k], layout.node_start[k + 1]):
@@ -293,7 +293,7 @@ def _take_all(layout: Surface, contacts: Contacts, n: int) -> int:
     return n_keys
 
 
-@kernel
+@inner
 def _order(layout: Surface, terrain: Terrain, xy: np.ndarray, contacts: Contacts, n: int) -> int:
     """Sets the order to EvoGym's; returns its length: contacts within an object act twice."""
     which, sorting = contacts.which, contacts.sorting

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from evogymcm.sim._jit import inlined, kernel
+from evogymcm.sim._jit import inlined, inner, kernel
 from evogymcm.sim.constants import MISSING
 from evogymcm.sim.trees import HIGH_X, HIGH_Y, LOW_X, LOW_Y, Tree
 
@@ -112,7 +112,7 @@ def find_path(
     return bits
 
 
-@kernel
+@inner
 def _parts_first(
     root_a: int, root_b: int, one_a: int, one_b: int, two_a: int, two_b: int,
     children: np.ndarray, place: np.ndarray, boxes: np.ndarray,
@@ -186,7 +186,7 @@ def _add_key(keys, found, n, contact, first, second, turn, cell_object, node_sta
     return n + 1
 
 
-@kernel
+@inner
 def comes_before(
     keys: np.ndarray, found: np.ndarray, one: int, two: int, node_start: np.ndarray, children: np.ndarray,
     place: np.ndarray, boxes: np.ndarray,

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from evogymcm.sim._jit import inlined, kernel
+from evogymcm.sim._jit import inlined, inner, kernel
 from evogymcm.sim.advance import Storage
 from evogymcm.sim.candidates import position
 from evogymcm.sim.constants import VOXEL
@@ -159,7 +159,7 @@ def _sum(numbers: np.ndarray, n: int) -> float:
     return total + numbers[n - 1] if n % 2 else total
 
 
-@kernel
+@inner
 def _orientation(layout: Layout, terrain: Terrain, xy: np.ndarray, places: np.ndarray, scratch: np.ndarray) -> float:
     """Returns the mean unsigned angle from the points at reset, weighted by distance, with the sign of their turning.
 
@@ -189,7 +189,7 @@ def _orientation(layout: Layout, terrain: Terrain, xy: np.ndarray, places: np.nd
     return _TWO_PI - angle if _sum(turns, n) > 0.0 else angle
 
 
-@kernel
+@inner
 def _hull_area(x: np.ndarray, y: np.ndarray, n: int) -> float:
     """Returns the area of the convex hull of the first `n` points, found side by side from the leftmost on.
 

@@ -9,16 +9,18 @@ scene of another robot is the same tables with another end.
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import get_args
 
 import numpy as np
 
+from evogymcm._settings import EdgeRule
 from evogymcm.sim.constants import MISSING, Physics
 from evogymcm.sim.contact_order import join_trees, put_first
 from evogymcm.sim.parts import Fixed, PlacedObject, Sizes, object_tables, uses_of
 from evogymcm.sim.tables import Layout, Terrain
 from evogymcm.sim.world import WorldObject
 
-EDGE_RULES = ("mean_factor", "mean_stiffness")
+EDGE_RULES = get_args(EdgeRule)
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from evogymcm.sim._jit import inlined, kernel
+from evogymcm.sim._jit import inlined, inner
 from evogymcm.sim.constants import (
     LIMIT_GAIN,
     RIGID_LIMIT_GAIN,
@@ -111,7 +111,7 @@ def _pulls(groups: np.ndarray, pulls: np.ndarray, force: np.ndarray, g: int):  #
     return total
 
 
-@kernel
+@inner
 def _push_from_ground(
     ground: np.ndarray, i: int, low: int, xy: np.ndarray, v: np.ndarray, physics: PhysicsValues
 ) -> None:

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from evogymcm.sim._jit import inlined, kernel
+from evogymcm.sim._jit import inlined, inner, kernel
 from evogymcm.sim.constants import MISSING, VOXEL
 from evogymcm.sim.hash_sets import SIZES, Sets, clear, erase, insert, move, new_sets
 from evogymcm.sim.topology import BOTTOM, LEFT, RIGHT, TOP, Topology
@@ -44,7 +44,7 @@ class _Work(NamedTuple):
     partner: np.ndarray  # (2n - 1,) that node
 
 
-@kernel
+@inner
 def _number_leaves(is_surface_side: np.ndarray, sets: Sets, leaves: np.ndarray, leaf_of: np.ndarray) -> None:
     """Sets the voxel of each leaf: the surface voxels as a hash set orders them."""
     s = sets.size.shape[0] - 1  # the root's set, of which the order is never used
@@ -58,7 +58,7 @@ def _number_leaves(is_surface_side: np.ndarray, sets: Sets, leaves: np.ndarray, 
         erase(sets, s, v)
 
 
-@kernel
+@inner
 def _link_leaves(
     cells: np.ndarray,
     is_surface_side: np.ndarray,
@@ -99,7 +99,7 @@ def _neighbour(cells: np.ndarray, is_surface_side: np.ndarray, voxel_at: np.ndar
     return MISSING if is_surface_side[v, side] else voxel_at[cells[v, 0] + down, cells[v, 1] + right]
 
 
-@kernel
+@inner
 def _bound_leaves(cells: np.ndarray, leaves: np.ndarray, x: int, y: int, rows: int, boxes: np.ndarray) -> None:
     """Sets the leaves' boxes from the coordinates that `Topology.points` gives, bit for bit."""
     top = y * VOXEL + rows * VOXEL
@@ -130,7 +130,7 @@ def _consider(work: _Work, i: int, j: int) -> None:
         work.least[i], work.partner[i] = width * height, j
 
 
-@kernel
+@inner
 def _seek_neighbour(work: _Work, parent: np.ndarray, i: int) -> None:
     """Finds the partner of node `i`: the first of its neighbours with the least joint box."""
     work.least[i], work.partner[i] = np.inf, MISSING
@@ -142,7 +142,7 @@ def _seek_neighbour(work: _Work, parent: np.ndarray, i: int) -> None:
         entry = work.sets.after[entry]
 
 
-@kernel
+@inner
 def _seek_any(work: _Work, parent: np.ndarray, i: int, end: int) -> None:
     """Finds the partner of node `i` among all nodes below `end`."""
     work.least[i], work.partner[i] = np.inf, MISSING
@@ -151,7 +151,7 @@ def _seek_any(work: _Work, parent: np.ndarray, i: int, end: int) -> None:
             _consider(work, i, j)
 
 
-@kernel
+@inner
 def _best(least: np.ndarray, end: int) -> int:
     """Returns the first node below `end` with the least joint box, or MISSING."""
     best, area = MISSING, np.inf
@@ -161,7 +161,7 @@ def _best(least: np.ndarray, end: int) -> int:
     return best
 
 
-@kernel
+@inner
 def _join_neighbours(work: _Work, parent: np.ndarray, i: int, j: int, node: int) -> None:
     """Moves the neighbours of `i` and `j` to the new node, which takes their place among those neighbours' own."""
     sets = work.sets
@@ -180,7 +180,7 @@ def _join_neighbours(work: _Work, parent: np.ndarray, i: int, j: int, node: int)
         entry = sets.after[entry]
 
 
-@kernel
+@inner
 def _merge(work: _Work, children: np.ndarray, parent: np.ndarray) -> None:
     """Merges the two unfinished nodes with the least joint box, until one is left: neighbours, then any two.
 
@@ -216,7 +216,7 @@ def _merge(work: _Work, children: np.ndarray, parent: np.ndarray) -> None:
                 _seek_any(work, parent, v, node + 1)
 
 
-@kernel
+@inner
 def _number_nodes(children: np.ndarray, parent: np.ndarray, depth: np.ndarray, place: np.ndarray) -> int:
     """Sets depth and place of the nodes, see `Tree`, and returns the largest depth."""
     n = children.shape[0] + 1

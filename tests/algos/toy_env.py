@@ -12,6 +12,7 @@ from torchrl.data import Bounded, Categorical, Composite, Unbounded
 from torchrl.envs import EnvBase
 
 FEATURES, TASK_FEATURES, VOXEL = 20, 4, 0.1
+_CHANGING = ("x", "speed", "score", "ret", "steps", "reached", "acted", "stiff")  # what a step changes
 SMALL = np.array([[3, 1, 3], [4, 0, 4]])
 WIDE = np.array([[3, 2, 4, 3], [4, 0, 0, 3], [1, 0, 0, 1]])
 
@@ -156,6 +157,7 @@ class ToyEnv(EnvBase):
         return TensorDict(self._observation(), batch_size=self.batch_size)
 
     def _step(self, tensordict: TensorDictBase) -> TensorDict:
+        before = {name: getattr(self, name) for name in _CHANGING}
         action = tensordict["action"].detach()
         self.acted = np.clip(action["actuation"].numpy().astype(np.float64), 0.6, 1.6)
         if self.material == "reactive":
@@ -163,13 +165,20 @@ class ToyEnv(EnvBase):
         error = (np.abs(self.acted - self._target()) * self.actuators).sum(-1) / self.actuators.sum(-1)
         bounce = (self.stiff * self.occupancy).sum(-1) / self.occupancy.sum(-1)
         self.speed = 0.03 * (0.25 - error) / 0.25 + 0.01 * (bounce - 1)
-        self.x += self.speed
-        self.steps += 1
+        self.x = self.x + self.speed
+        self.steps = self.steps + 1
         goal = self.reached = self.x > self.task.goal_x
         reward = self.speed + self.task.goal_bonus * goal
         truncated = self.steps >= self.task.time_limit
-        self.ret += reward
+        self.ret = self.ret + reward
         self.score = np.where(goal | truncated, self.score, self.score + reward)
+        if "_step" in tensordict.keys():  # the others wait
+            chosen = tensordict["_step"].numpy()
+            reward = np.where(chosen, reward, 0.0)
+            for name, old in before.items():
+                new = getattr(self, name)
+                setattr(self, name, np.where(chosen.reshape(-1, *[1] * (new.ndim - 1)), new, old))
+            goal, truncated = self.reached, self.steps >= self.task.time_limit
         flags = {"terminated": goal, "truncated": truncated, "done": goal | truncated}
         out = self._observation() | {name: torch.from_numpy(flag)[:, None] for name, flag in flags.items()}
         out["reward"] = torch.from_numpy(reward.astype(np.float32))[:, None]
@@ -177,8 +186,7 @@ class ToyEnv(EnvBase):
 
     def get_extra_state(self) -> dict[str, Any]:
         """All that changes, so that `state_dict` restores an env exactly."""
-        names = ("x", "speed", "score", "ret", "steps", "reached", "acted", "stiff")
-        state = {name: torch.from_numpy(getattr(self, name).copy()) for name in names}
+        state = {name: torch.from_numpy(getattr(self, name).copy()) for name in _CHANGING}
         return state | {"rng": self.rng.bit_generator.state}
 
     def set_extra_state(self, state: dict[str, Any]) -> None:

@@ -372,3 +372,15 @@ def test_an_action_that_is_not_made_of_its_keys_is_refused_with_them(copies, gro
         assert str(shape) in str(error.value)
     assert not env.engine.length.any()
     env.step(good)
+
+
+def test_a_partial_step_advances_the_chosen_copies_only():
+    env = make_env("Walker-v0", MIXED, copies=2, group_map=GROUP_MAPS["two"])
+    torch.manual_seed(0)
+    before = env.rand_action(env.reset())
+    after = env.step(before.clone().set("_step", torch.tensor([False, True])))["next"]
+    assert env.engine.length.tolist() == [0, 0, 0, 1, 1, 1]
+    for group in ("a", "b"):
+        assert torch.equal(after[group, "voxels"][0], before[group, "voxels"][0])
+        assert not after[group, "reward"][0].any()
+        assert after[group, "reward"][1].all()

@@ -12,6 +12,7 @@ from torchrl.envs import Compose, EnvBase, RewardSum, StepCounter, TransformedEn
 
 import evogymcm as cm
 from evogymcm.envs import SoftRobotEnv
+from tests.envs.lottery import LOTTERY
 from tests.envs.tools import MATERIALS, PAPER_ROBOTS, SMALL, WIDE, make_engine, random_actions
 
 
@@ -163,6 +164,22 @@ def test_partial_reset_by_mask():
         assert (again[key][::2] == start[key][::2]).all()
         assert (again[key][1] == carrier[key][1]).all()
     assert (again["voxels"][1] != start["voxels"][1]).any()
+
+
+def test_partial_steps_leave_the_others_alone():
+    env = SoftRobotEnv(LOTTERY, [SMALL, WIDE] * 3, material="reactive", num_threads=1)
+    torch.manual_seed(0)
+    data = env.rollout(9, break_when_all_done=True)  # TorchRL asks for those only whose episode goes on
+    assert len(set(env.engine.length.tolist())) > 2
+    assert env.engine.length.max() == data.shape[1]
+    ended = data["next", "done"].squeeze(-1).cumsum(1) > 1  # all env-steps after the one that ended an episode
+    assert (ended.sum(1) == data.shape[1] - torch.from_numpy(env.engine.length)).all()
+    for world, length in enumerate(env.engine.length.tolist()):
+        for key in ("voxels", "task", "com", "return", "done"):
+            assert (data["next", key][world, length:] == data["next", key][world, length - 1]).all()
+    again = env.step(env.rand_action(env.reset()).set("_step", torch.tensor([True, False] * 3)))["next", "reward"]
+    assert again[::2].all()
+    assert not again[1::2].any()
 
 
 def test_transforms_follow_partial_resets_in_a_collector():

@@ -13,7 +13,7 @@ import torch
 from evogymcm.__main__ import main
 from evogymcm.algos.learning.threads import exploration
 from evogymcm.report import make_report, write_report
-from evogymcm.report.animations import choose_scenes, gif_uri, play
+from evogymcm.report.animations import animate, choose_scenes, gif_uri
 from evogymcm.report.figures import codesign_curves, learning_curves
 from evogymcm.report.sources import make_arms, read_source
 from tests.commands.tools import refused
@@ -82,8 +82,8 @@ def test_animations_show_what_a_policy_would_do_without_noise(training):
     pytest.importorskip("pygame")
     scene = choose_scenes(make_arms([read_source(training)]))[0][0]
     with exploration(True):  # of whoever calls
-        shown = play(scene)
-    assert shown == play(scene)
+        shown = animate(scene)
+    assert shown == animate(scene)
 
 
 def test_best_score_of_co_design_is_a_mean_of_steps(evolved):

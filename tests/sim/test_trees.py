@@ -8,6 +8,7 @@ import pytest
 
 from evogymcm._grid import full_connections, grid_from_rows
 from evogymcm.sim import hash_sets
+from evogymcm.sim._jit import kernel
 from evogymcm.sim.constants import MISSING
 from evogymcm.sim.topology import BOTTOM, LEFT, RIGHT, TOP, topology
 from evogymcm.sim.trees import build_tree
@@ -176,6 +177,12 @@ def test_an_object_without_voxels_has_no_tree():
         build_tree(topology(grid_of("..")), (0, 0))
 
 
+@kernel
+def insert(sets, s, value):
+    """An entrance from Python: `hash_sets.insert` is inlined."""
+    hash_sets.insert(sets, s, value)
+
+
 def test_hash_sets_keep_the_order():
     """Insertions, also of what is there, and erasures, until the sets have grown four times."""
     rng, ours, twins = np.random.default_rng(0), hash_sets.new_sets(3, 3 * 200), [HashSet() for _ in range(3)]
@@ -183,7 +190,7 @@ def test_hash_sets_keep_the_order():
     for _ in range(900):
         s, value = rng.integers(3).item(), rng.integers(200).item()
         if rng.random() < 0.8:
-            hash_sets.insert(ours, s, value)
+            insert(ours, s, value)
             twins[s].insert(value)
         else:
             hash_sets.erase(ours, s, value)

@@ -1,15 +1,16 @@
 """One deterministic episode, voxel by voxel: actuation, stiffness and contact with the ground in every env-step."""
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
-from tensordict.nn import TensorDictModuleBase
 
-from evogymcm.algos.learning.threads import exploration
-from evogymcm.envs.core import TaskEngine
-from evogymcm.envs.torchrl import SoftRobotEnv
+from evogymcm.algos.learning.playing import Gait, play
+from evogymcm.envs.engines import engine_of
+
+if TYPE_CHECKING:
+    from tensordict.nn import TensorDictModuleBase
 
 __all__ = ["CONTACT_DEPTH", "CONTACT_TOLERANCE", "GroundContact", "Recording", "record_episode"]
 
@@ -28,7 +29,7 @@ class Recording:
         actuation: (T, C) target lengths as applied in each env-step, NaN for voxels that are no actuators.
         stiffness: (T, C) stiffness as applied in each env-step.
         contact: (T, C) bool, whether the voxel touched the ground at the end of the env-step, see `GroundContact`.
-        score: of the episode, as `evaluate` counts it.
+        score: score of the episode, as `evaluate` counts it.
 
     Raises:
         ValueError: For arrays whose shapes do not fit together.
@@ -60,11 +61,15 @@ class GroundContact:
     Where the world gets another robot, it is that one's voxels.
 
     Args:
-        engine: of the world.
-        world: number of the world.
+        env: The environment of the world, or its engine.
+        world: Number of the world.
+
+    Raises:
+        ValueError: There is no engine in `env`.
     """
 
-    def __init__(self, engine: TaskEngine, world: int = 0) -> None:
+    def __init__(self, env: object, world: int = 0) -> None:
+        engine = engine_of(env)
         self._simulator, self._world, self._watches = engine.simulator, world, engine.task.watches
         self._number()
 
@@ -116,18 +121,17 @@ def _is_near(points: np.ndarray, sides: np.ndarray, sign: float = 1.0) -> NDArra
     return (left <= x) & (x <= right) & (gap >= -CONTACT_DEPTH) & (gap <= CONTACT_TOLERANCE)
 
 
-@torch.no_grad()
-def record_episode(policy: TensorDictModuleBase, env: SoftRobotEnv) -> Recording:
+def record_episode(policy: "TensorDictModuleBase | Gait", env: object) -> Recording:
     """Plays one episode with deterministic actions and returns its time series.
 
     Args:
-        policy: the actor, or any TensorDict module that writes the env's action.
-        env: of one world, in the reactive setting; it is reset first.
+        policy: The actor, any TensorDict module that writes the action of `SoftRobotEnv`, or a gait, see `play`.
+        env: The environment or its engine, of one world, in the reactive setting; it is reset first.
 
     Raises:
-        ValueError: The env has several worlds, or does not take stiffness.
+        ValueError: There are several worlds, they do not take stiffness, or as `play`.
     """
-    engine = env.engine
+    engine = engine_of(env)
     if engine.num_worlds != 1:
         raise ValueError(f"env: got {engine.num_worlds} worlds, expected 1")
     if engine.material != "reactive":
@@ -135,15 +139,12 @@ def record_episode(policy: TensorDictModuleBase, env: SoftRobotEnv) -> Recording
             f"env: got the {engine.material} setting, expected 'reactive': stiffness does not vary in others"
         )
     rows: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
-    with exploration(False):
-        state = env.reset()
-        ground = GroundContact(engine)
-        voxels = ground.cells[:, 0] * engine.grid_shape[1] + ground.cells[:, 1]
-        is_done = False
-        while not is_done:
-            state = env.step(policy(state))["next"]
+    for now in play(policy, env):
+        if now.step == 0:
+            ground = GroundContact(engine)
+            voxels = ground.cells[:, 0] * engine.grid_shape[1] + ground.cells[:, 1]
+        else:
             rows.append((engine.actuation[0, voxels], engine.stiffness[0, voxels], ground.now()))
-            is_done = bool(state["done"].item())
     actuation, stiffness, contact = (np.stack(series) for series in zip(*rows, strict=True))
     is_actuator = engine.actuators[0, voxels]
     return Recording(
@@ -153,5 +154,5 @@ def record_episode(policy: TensorDictModuleBase, env: SoftRobotEnv) -> Recording
         actuation=np.where(is_actuator, actuation, np.nan),
         stiffness=stiffness,
         contact=contact,
-        score=float(engine.score[0]),
+        score=float(now.score[0]),
     )

@@ -37,8 +37,8 @@ class VoxelSignals:
     """Signals of one voxel; None where there are none, or where one of the two does not vary.
 
     Attributes:
-        row: in the body's array.
-        column: in the body's array.
+        row: row in the body's array.
+        column: column in the body's array.
         is_actuator: whether the policy drives it.
         actuation: (T,) target lengths, None for other voxels.
         stiffness: (T,)
@@ -49,7 +49,7 @@ class VoxelSignals:
         coherence: in [0, 1] at that frequency, 1 where the lag is the same in all windows; None in short episodes.
         lag_steps: env-steps by which stiffness follows actuation where their correlation is largest, within half a
             period either way.
-        correlation: there.
+        correlation: their correlation at that lag.
     """
 
     row: int
@@ -85,10 +85,10 @@ class TouchDown:
     Attributes:
         lags: (21,) env-steps after the impact, from -10.
         stiffness: (21,) mean stiffness of the touching voxels, NaN without impacts.
-        n_impacts: of all voxels; those within 10 env-steps of the episode's ends are left out.
+        n_impacts: number of impacts of all voxels; those within 10 env-steps of the episode's ends are left out.
         rise_before_impact: mean of lags -1 and 0, minus mean of lags -10 to -6; None without impacts.
-        rise_interval: its 95 % bootstrap interval. Voxels that land in the same env-step are resampled together; None
-            with fewer than two such env-steps.
+        rise_interval: 95 % bootstrap interval of that rise. Voxels that land in the same env-step are resampled
+            together; None with fewer than two such env-steps.
         rise_rank: share of all shifts of the stiffness in time for which the rise would be smaller: 0.5 is chance,
             1 says that no other moment of the episode shows a larger rise.
     """

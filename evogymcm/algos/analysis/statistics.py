@@ -37,7 +37,8 @@ Curve = Sequence[tuple[float, float]]
 Interval = tuple[float, float]
 Scores = Mapping[str, Sequence[float]]
 
-CONFIDENCE, RESAMPLES = 0.95, 10_000
+CONFIDENCE = 0.95
+RESAMPLES = 10_000
 _TRIALS, _FEWER = 2_000, 1_000  # simulated comparisons of `coverage`, and the resamples of each
 
 

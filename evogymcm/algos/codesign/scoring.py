@@ -70,6 +70,8 @@ def _mean(rows: np.ndarray) -> np.ndarray:
 class _OneByOne(TensorDictModuleBase):
     """Policies of D designs, dealt to the worlds in turn. Each world is asked by itself, whoever stands beside it.
 
+    Worlds whose episode has ended are not asked: their actions are 1, and have no effect.
+
     A batched matrix product may round a row differently with the number of rows, and contact makes much of little.
     """
 
@@ -80,11 +82,13 @@ class _OneByOne(TensorDictModuleBase):
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Writes the actions into `tensordict` (N,) and returns it."""
-        rows = tensordict.select(*self.in_keys)
-        n = len(self.actors)
-        out = [self.actors[i % n](rows[i : i + 1]) for i in range(rows.shape[0])]
+        rows, n = tensordict.select(*self.in_keys), len(self.actors)
+        asked = torch.nonzero(~tensordict.get("done").reshape(-1)).flatten().tolist()
+        out = [self.actors[i % n](rows[i : i + 1]) for i in asked]
         for key in self.out_keys:
-            tensordict.set(key, torch.cat([row.get(key) for row in out]))
+            answers = torch.cat([row.get(key) for row in out])
+            idle = torch.ones(len(rows), *answers.shape[1:], dtype=answers.dtype)
+            tensordict.set(key, idle.index_copy(0, torch.tensor(asked), answers))
         return tensordict
 
 

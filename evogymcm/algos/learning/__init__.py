@@ -13,6 +13,7 @@ __getattr__, __dir__, __all__ = door(
         "evaluation": ["Evaluation", "evaluate"],
         "memory": ["keep_freed_memory"],
         "outcome": ["Progress", "TrainResult"],
+        "playing": ["Episodes", "play"],
         "ppo": ["PPOLearner"],
         "stacking": ["PerDesign", "by_design", "by_world", "stack_states", "take_state"],
         "trainer": ["Trainer"],

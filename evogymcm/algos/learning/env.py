@@ -15,8 +15,10 @@ class TrainingEnv(Protocol):
     Its action holds ("action", "actuation") [N, V] and, where policies set stiffness, ("action", "stiffness") [N, V].
     Its observation holds "task" [N, G], "occupancy" and "actuators" [N, V], "voxels" [N, V, F] and "types" [N, V, 5]
     (for the network "voxel") or "observation" [N, D] (for "mlp"); and for evaluation "score" and "return" (sums of the
-    episode's rewards, without and with the last), "unstable" and "reached", all [N, 1]. A run that is resumed goes on
-    within its episodes where the environment keeps its own state (`get_extra_state`, `set_extra_state`).
+    episode's rewards, without and with the last), "unstable" and "reached", all [N, 1]. Evaluations mark the worlds to
+    advance with TorchRL's "_step"; one that does not heed it goes on with worlds that have ended, to no effect. A run
+    that is resumed goes on within its episodes where the environment keeps its own state (`get_extra_state`,
+    `set_extra_state`).
 
     Attributes:
         task: The task; several episodes tell what a policy is worth where its class overrides `Task.draw`.

@@ -1,16 +1,16 @@
 """One deterministic episode per world, scored as in the EvoGymCM paper."""
 
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
-from tensordict.nn import TensorDictModuleBase
-from torchrl.envs import EnvBase
 
-from evogymcm.algos.learning.threads import exploration
+from evogymcm.algos.learning.playing import Gait, play
 from evogymcm.envs.task import Task
+
+if TYPE_CHECKING:
+    from tensordict.nn import TensorDictModuleBase
 
 __all__ = ["Evaluation", "evaluate", "starts_of"]
 
@@ -27,7 +27,7 @@ class Evaluation:
         length: env-steps of the episode.
         goal: whether it ended at a goal of the task.
         unstable: whether the simulation became unstable.
-        env_steps: simulated in all, those of worlds that waited for the last one included.
+        env_steps: simulated in all, the sum of `length`: a world that waits for the others is not simulated.
         ceiling: largest possible score where the task has one, NaN where it has none.
     """
 
@@ -69,31 +69,19 @@ def starts_of(task: object) -> int:
     return 1 if getattr(type(task), "draw", Task.draw) is Task.draw else _RANDOM_STARTS
 
 
-@torch.no_grad()
-def evaluate(policy: TensorDictModuleBase, env: EnvBase) -> Evaluation:
-    """Plays one episode in every world of `env` with deterministic actions and returns the outcome.
+def evaluate(policy: "TensorDictModuleBase | Gait", env: object) -> Evaluation:
+    """Plays one episode in every world with deterministic actions and returns the outcome, see `play`.
 
-    The policy is not changed, and no random numbers are drawn from torch. Give it a freshly made env: a reset restores
-    the initial state, but the env's own random generator goes on from where it was. Modules other than this library's
-    actors follow TorchRL's exploration type, which is one for all threads: evaluate them in one thread at a time.
+    Give it a freshly made environment: a reset restores the initial state, but the worlds' own random generators go on
+    from where they were.
 
     Args:
-        policy: the actor, or any TensorDict module that writes the env's action.
-        env: a SoftRobotEnv, batch size (N,), on the policy's device; its task must have a time limit.
+        policy: The actor, any TensorDict module that writes the action of `SoftRobotEnv`, or a gait, see `play`.
+        env: An environment of this library or its engine, see `play`; its task must have a time limit.
+
+    Raises:
+        ValueError: As `play`.
     """
-    n = env.batch_size.numel()
-    score, returns = np.zeros(n), np.zeros(n)
-    length, unstable, goal = np.zeros(n, dtype=np.int64), np.zeros(n, dtype=bool), np.zeros(n, dtype=bool)
-    running = np.ones(n, dtype=bool)
-    with exploration(False):
-        state = env.reset()
-        ceiling = np.array(env.score_ceiling, dtype=np.float64)  # worlds of a stream hold other bodies later
-        while running.any():
-            step, state = env.step_and_maybe_reset(policy(state))  # finished worlds start anew and are ignored
-            following = step["next"]
-            length += running
-            ended = running & following["done"].squeeze(-1).cpu().numpy()
-            for record, key in ((score, "score"), (returns, "return"), (unstable, "unstable"), (goal, "reached")):
-                record[ended] = following[key].squeeze(-1).cpu().numpy()[ended]
-            running &= ~ended
-    return Evaluation(score, returns, length, goal, unstable, ceiling, n * int(length.max()))
+    *_, last = play(policy, env)
+    steps = int(last.length.sum())
+    return Evaluation(last.score, last.returns, last.length, last.goal, last.unstable, last.ceiling, steps)

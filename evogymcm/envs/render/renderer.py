@@ -9,6 +9,7 @@ import numpy as np
 from evogymcm.body import Body
 from evogymcm.envs._extras import load_pygame
 from evogymcm.envs.core import TaskEngine
+from evogymcm.envs.engines import engine_of
 from evogymcm.envs.render import palette
 from evogymcm.envs.render.downscale import FINE, downscale
 from evogymcm.envs.render.legend import Legend
@@ -30,14 +31,14 @@ _DRAWN = ("_pygame", "_font", "_strip", "_surfaces")  # what pygame made, which 
 
 
 class Renderer:
-    """Draws the worlds of a task engine as they are.
+    """Draws the worlds of an environment as they are.
 
     Types view: hue is the voxel's type, brightness falls with its stiffness (0.9 / sqrt(S)), and an actuator is the
     paler, the longer it is. Stiffness view: the robot's stiffness alone, on a logarithmic scale. The camera follows
     the robot, and the package or beam of its task, with some delay over env-steps; it starts anew in a new episode.
 
     Args:
-        engine: What to draw.
+        env: The environment, or its engine, to draw.
         width: Pixels across.
         height: Pixels up.
         view: "types" or "stiffness".
@@ -48,12 +49,12 @@ class Renderer:
 
     Raises:
         ImportError: pygame-ce is not installed.
-        ValueError: The view is unknown, or the picture smaller than 16 x 16.
+        ValueError: The view is unknown, the picture smaller than 16 x 16, or there is no engine in `env`.
     """
 
     def __init__(
         self,
-        engine: TaskEngine,
+        env: object,
         width: int = 640,
         height: int = 320,
         view: str = "types",
@@ -67,7 +68,7 @@ class Renderer:
             raise ValueError(f"view: got {view!r}, allowed are {VIEWS}")
         if min(width, height) < _SMALLEST:
             raise ValueError(f"size: got {width} x {height}, allowed are 16 x 16 and more")
-        self.engine, self.width, self.height, self.view = engine, width, height, view
+        self.engine, self.width, self.height, self.view = engine_of(env), width, height, view
         self._shown = Shown(not hide_background, not hide_edges, not hide_voxels)
         self._parts: dict[Body, Parts] = {}
         self._drawn: dict[int, Body] = {}  # the body of each world when it was last drawn

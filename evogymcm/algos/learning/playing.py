@@ -1,0 +1,189 @@
+"""Playing episodes with a policy: the one loop that evaluation, recording and pictures share."""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evogymcm.envs.core import TaskEngine
+from evogymcm.envs.engines import engine_of
+
+if TYPE_CHECKING:  # gaits are played without torch
+    from tensordict.nn import TensorDictModuleBase
+
+__all__ = ["Episodes", "Gait", "play"]
+
+Gait = Callable[[TaskEngine], tuple[np.ndarray, np.ndarray | None]]
+_RECORDS = ("score", "returns", "unstable", "goal")
+
+
+class Episodes:
+    """The first episode of every world, as far as it has been played; arrays are (N,).
+
+    Attributes:
+        step: env-steps since the reset.
+        running: which worlds are still in their episode.
+        length: env-steps of the episode. The simulator has advanced each world by so many, and no further.
+        score: sum of the rewards but the last.
+        returns: sum of all rewards.
+        goal: whether the episode ended at a goal of the task.
+        unstable: whether the simulation became unstable.
+        ceiling: largest possible score, NaN where there is none.
+    """
+
+    def __init__(self, ceiling: NDArray[np.float64]) -> None:
+        n = len(ceiling)
+        self.step, self.ceiling, self.running = 0, ceiling, np.ones(n, bool)
+        self.length, self.score, self.returns = np.zeros(n, np.int64), np.zeros(n), np.zeros(n)
+        self.goal, self.unstable = np.zeros(n, bool), np.zeros(n, bool)
+
+    def _take(self, outcome: "_Outcome") -> None:
+        """Takes what came of an env-step, for the worlds that are running."""
+        *records, done = outcome
+        self.step += 1
+        self.length += self.running
+        for name, values in zip(_RECORDS, records, strict=True):
+            getattr(self, name)[self.running] = values[self.running]
+        self.running = self.running & ~done
+
+
+_Outcome = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]  # the records, then which worlds are done
+
+
+class _Stage(Protocol):
+    """Worlds together with what acts in them."""
+
+    def reset(self) -> NDArray[np.float64]:
+        """Starts new episodes and returns the ceilings of their scores."""
+
+    def step(self, running: NDArray[np.bool_]) -> _Outcome:
+        """Advances the running worlds, and no others, by an env-step."""
+
+
+class _OnEngine:
+    """An engine that is stepped by a function of it."""
+
+    def __init__(self, gait: Gait, engine: TaskEngine) -> None:
+        self._gait, self._engine = gait, engine
+
+    def reset(self) -> NDArray[np.float64]:
+        self._engine.reset()
+        return self._engine.score_ceiling.copy()
+
+    def step(self, running: NDArray[np.bool_]) -> _Outcome:
+        engine = self._engine
+        engine.step(*self._gait(engine), mask=None if running.all() else running)
+        return engine.score, engine.returns, engine.unstable, engine.reached, engine.terminated | engine.truncated
+
+
+class _InEnvironment:
+    """A TorchRL environment in which a module acts."""
+
+    def __init__(self, policy: "TensorDictModuleBase", env: Any) -> None:
+        self._policy, self._env = policy, env
+
+    def reset(self) -> NDArray[np.float64]:
+        self._state = self._env.reset()
+        return np.array(self._env.score_ceiling, dtype=np.float64)
+
+    def step(self, running: NDArray[np.bool_]) -> _Outcome:
+        import torch
+
+        env = self._env
+        with _deterministic():
+            acted = self._policy(self._state)
+            if not running.all():
+                acted.set("_step", torch.from_numpy(running).reshape(env.batch_size))
+            stepped = env.step(acted)
+        self._state = env.step_mdp(stepped)
+        keys = ("score", "return", "unstable", "reached", "done")
+        return tuple(stepped["next", key].reshape(len(running)).cpu().numpy() for key in keys)
+
+
+def play(policy: "TensorDictModuleBase | Gait", env: object, *, steps: int | None = None) -> Iterator[Episodes]:
+    """Plays one episode in every world, with deterministic actions, and yields what came of it after every env-step.
+
+    The worlds are reset first, and the start is yielded too. Worlds whose episode has ended wait for the others: they
+    are neither simulated nor counted, and keep their last state. What is yielded is always the same object.
+
+        for now in play(policy, env):
+            if now.step % 4 == 0:
+                pictures.append(renderer.frame())
+        print(now.score)
+
+    The policy is not changed, and no random numbers are drawn from torch. A reset restores the initial state, but the
+    worlds' own random generators go on from where they were. Modules other than this library's actors follow TorchRL's
+    exploration type, which is one for all threads: play in one thread at a time with them.
+
+    Args:
+        policy: An actor, or any TensorDict module that writes the action of `SoftRobotEnv`; or a function of the engine
+            that returns what `TaskEngine.step` takes, such as `sine_gait`.
+        env: An environment of this library or its engine, which is reset and stepped (reset a Gymnasium or PettingZoo
+            environment before you go on with it). Episodes are the task's, whatever limit a wrapper has. For modules
+            also another TorchRL environment with the keys of `SoftRobotEnv`, which should heed TorchRL's `"_step"`: if
+            it does not, worlds go on after their end, without being looked at.
+        steps: Env-steps at most; by default to the end of all episodes.
+
+    Raises:
+        ValueError: No env-step is asked for, or there is no such policy or environment.
+    """
+    if steps is not None and steps < 1:
+        raise ValueError(f"steps: got {steps}, at least 1 is needed")
+    if not callable(policy):
+        raise ValueError(
+            f"policy: got {type(policy).__name__}, expected a TensorDict module or a function of an engine"
+        )
+    return _played(_stage(policy, env), steps)
+
+
+def _played(stage: _Stage, steps: int | None) -> Iterator[Episodes]:
+    episodes = Episodes(stage.reset())
+    yield episodes
+    while episodes.running.any() and episodes.step != steps:
+        episodes._take(stage.step(episodes.running))
+        yield episodes
+
+
+def _stage(policy: Any, env: object) -> _Stage:
+    """Returns worlds and policy together."""
+    if not hasattr(policy, "in_keys"):
+        return _OnEngine(policy, engine_of(env))
+    from torchrl.envs import EnvBase
+
+    if isinstance(env, EnvBase) and "done" in env.done_keys:  # in a population it is the group's
+        return _InEnvironment(policy, env)
+    engine = engine_of(env)
+    engine.with_voxels = engine.with_voxels or "voxels" in policy.in_keys  # Gymnasium's does not observe them
+    return _OnEngine(_acting(policy), engine)
+
+
+def _acting(policy: "TensorDictModuleBase") -> Gait:
+    """Returns a module as a function of the engine."""
+    import torch
+    from tensordict import TensorDict
+
+    from evogymcm.envs.torchrl import check_action
+
+    def act(engine: TaskEngine) -> tuple[np.ndarray, np.ndarray | None]:
+        shown = engine.observations() | {"com": engine.com, "done": (engine.terminated | engine.truncated)[:, None]}
+        seen = {key: torch.from_numpy(values) for key, values in shown.items()}
+        with _deterministic():
+            action = policy(TensorDict(seen, [engine.num_worlds])).get("action", None)
+        heads = ("actuation", "stiffness") if engine.material == "reactive" else ("actuation",)
+        given = [values.cpu().numpy() for values in check_action(action, ("action",), heads, engine.occupancy.shape)]
+        return given[0], given[1] if len(given) > 1 else None
+
+    return act
+
+
+@contextmanager
+def _deterministic() -> Iterator[None]:
+    """Has policies act without noise in this thread, and torch record nothing."""
+    import torch
+
+    from evogymcm.algos.learning.threads import exploration
+
+    with torch.no_grad(), exploration(False):
+        yield
