@@ -23,7 +23,7 @@ SMALLER = {  # budgets of the pages, and those of the tests
     "total_steps=200_000": "total_steps=64, num_worlds=16, rollout_steps=4",
     "total_steps=50_000": "total_steps=64, num_worlds=16, rollout_steps=4",
     "total_steps=100_000, num_worlds=16": "total_steps=32, num_worlds=4, rollout_steps=8, eval_interval=0",
-    "population=8, budget=32": "population=2, budget=2, search=SearchConfig(rounds=1)",
+    "SearchConfig(), population=8, budget=32": "SearchConfig(rounds=1), population=2, budget=2",
     "total_steps=500_000, num_worlds=64": "total_steps=64, num_worlds=16, rollout_steps=4",
     "total_timesteps=100_000": "total_timesteps=512",
 }

@@ -10,6 +10,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from evogymcm.algos.runs.folder import RunFiles, RunFolder
+from evogymcm.algos.runs.older import present_settings
 from evogymcm.body import Body
 
 __all__ = ["KINDS", "NOT_RECORDED", "Kind", "Row", "RunRecord", "best_curve"]
@@ -175,10 +176,11 @@ def _record(name: str, told: Row, config: Row, rows: list[dict[str, Any]], files
     """Puts together what a run's files and records say, whichever version wrote them."""
     inner = config.get("ppo") or config  # settings of the training, which may be all that there is
     kind = _kind(told, config, rows)
-    arm = told.get("arm") or config.get("arm")
-    material = told.get("material") or config.get("material") or _MATERIALS.get(str(arm))
-    stiffness = _stiffness(told, config, arm, kind)
     said = [settings.get(key) for settings in (told, config) for key in _LABELS]
+    present = present_settings(config)
+    stiffness = _stiffness(told, present, kind)
+    material = told.get("material") or present.get("material")
+    material = material or next((_MATERIALS[text] for text in said if text in _MATERIALS), None)
     if kind == "codesign" and stiffness is not None:
         said.append(f"stiffness {stiffness:g}")
     scored = [row for row in rows if row.get("score") is not None]
@@ -236,10 +238,8 @@ def _bodies(told: Row, config: Row) -> tuple[str, ...]:
     return (body,) if isinstance(body, str) else ()
 
 
-def _stiffness(told: Row, config: Row, arm: str | None, kind: Kind) -> Any:
-    """Returns the stiffness that was given; that of co-design's earlier arms is theirs."""
-    if kind == "codesign" and arm is not None:
-        return {"fixed": 1.0, "prescribed": config.get("prescribed")}.get(arm)
+def _stiffness(told: Row, config: Row, kind: Kind) -> Any:
+    """Returns the stiffness that was given, None where it was searched or set by the policy."""
     if "kind" in told:
         return told.get("stiffness")
     is_given = kind == "train" or (config.get("material") == "invariant" and not config.get("search"))
