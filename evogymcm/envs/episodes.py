@@ -54,14 +54,6 @@ class Episodes:
         for name in _ACCOUNTS:
             getattr(self, name)[chosen] = 0
 
-    def spread_ends(self) -> None:
-        """Has the present episodes end one after another, as if they had begun up to a time limit ago.
-
-        Worlds that are reset together would otherwise all be in the same part of an episode for ever, and under a
-        stream all get other bodies at once.
-        """
-        self.length = np.arange(self.num_worlds) * (self._time_limit // self.num_worlds)
-
     def _settle(self, before: Snapshot, now: Snapshot, unstable: np.ndarray, mask: np.ndarray | None) -> None:
         """Takes up the rewards and endings of a step, for the worlds of the (N,) mask; all by default.
 

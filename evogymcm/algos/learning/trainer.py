@@ -105,8 +105,6 @@ class Trainer:
                 auto_register_policy_transforms=False,
                 track_traj_ids=False,
             )
-        if is_stream:
-            env.engine.spread_ends()
 
     def train(
         self,

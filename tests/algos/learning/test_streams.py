@@ -22,7 +22,6 @@ pytestmark = pytest.mark.usefixtures("sprint")  # whose episodes have 12 env-ste
 def test_training_meets_ever_new_bodies_and_evaluations_the_same_others():
     with make_trainer(CONFIG, num_threads=1) as trainer:
         seen, env = set(), trainer._env
-        assert env.engine.length.tolist() == list(range(8))  # of 12: they don't all change at once
         while not trainer.is_finished:
             seen |= {body.text for body in env.bodies}
             trainer.update()
