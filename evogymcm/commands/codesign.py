@@ -131,7 +131,7 @@ def _print_best(config: CodesignConfig, result: "CodesignResult", path: Path) ->
     assert result.best is not None
     assert result.policy is not None
     design = result.best.design.at(config.stiffness)
-    alone = score_alone(env_maker(config), [design], [result.policy])
+    alone = score_alone(env_maker(config), [design], [result.policy], starts=config.eval_starts)
     score, ceiling = alone.score[0], alone.ceiling[0]
     bound = "" if np.isnan(ceiling) else f" of at most {ceiling:.2f} ({score / ceiling:.1%})"
     print(f"best design, number {result.best.index} (generation {result.best.generation}): {design.body.text}")
@@ -141,6 +141,9 @@ def _print_best(config: CodesignConfig, result: "CodesignResult", path: Path) ->
         print("\n".join(["stiffness:", *write_stiffness(design.field, design.body.occupancy)]))
     print(f"score   {score:.3f}{bound}: its stored policy, deterministic, in a fresh world")
     print(f"return  {alone.returns[0]:.3f}")
+    if config.eval_starts > 1:
+        hair = f"the score from {config.eval_starts} starts that differ by a hair"
+        print(f"robust  {alone.robust[0]:.3f} ± {alone.spread[0]:.3f}: {hair}")
     print(f"run     {path} ({result.env_steps:,} env-steps)")
     print(f"watch   evogymcm watch --policy {path}")
     print(f"report  evogymcm report {path}")

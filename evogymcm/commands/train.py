@@ -151,6 +151,11 @@ def _print_result(result: "TrainResult", bodies: Sequence[str], path: Path) -> N
             print(body)
         print(f"score   {score:.3f}{bound}: the final policy, deterministic, in fresh worlds")
         print(f"return  {total:.3f}")
+        if len(final.starts) > 1:
+            robust, spread = (values[i :: len(bodies)].mean() for values in (final.robust, final.spread))
+            print(
+                f"robust  {robust:.3f} ± {spread:.3f}: the score from {len(final.starts)} starts that differ by a hair"
+            )
     evaluations = sum("score" in row for row in result.rows)
     over = " (means over the bodies)" if len(bodies) > 1 else ""
     print(f"best    {result.best_score:.3f}: the largest score of {evaluations} evaluations in training{over}")

@@ -3,11 +3,13 @@
 Arrays are indexed by world and by cell of the padded grid (V cells, bodies in the upper left corner).
 """
 
+import copy
 from collections.abc import Mapping, Sequence
 from typing import Any, Unpack
 
 import numpy as np
 
+from evogymcm._settings import check_count
 from evogymcm.body import Body
 from evogymcm.envs import checks
 from evogymcm.envs.actions import checked_action
@@ -16,6 +18,7 @@ from evogymcm.envs.episodes import Episodes
 from evogymcm.envs.lineup import Lineup
 from evogymcm.envs.observed import Observed
 from evogymcm.envs.options import EngineOptions, as_physics, complete, lists_options
+from evogymcm.envs.starts import Starts
 from evogymcm.envs.states import checked_arrays, checked_part
 from evogymcm.envs.streams import BodySource, BodyStream, pack_bodies
 from evogymcm.envs.task import Task
@@ -74,6 +77,7 @@ class TaskEngine(Observed, Episodes):
         lineup = Lineup(bodies, num_worlds, chosen)
         self._stream, self.num_designs = lineup.stream, lineup.num_designs
         self._start = Start(task)
+        self._starts: Starts | None = None
         Episodes.__init__(self, task, lineup.num_worlds)
         self.set_seed(chosen["seed"])
         dealt, fields = lineup.deal()
@@ -131,6 +135,8 @@ class TaskEngine(Observed, Episodes):
         has_changed = self._stream is not None and self._go_on(self._stream, chosen)
         self._draw(chosen)
         self.simulator.reset(chosen, self.memory["offset"] if self.task.moves_at_reset else None)
+        if self._starts is not None:
+            self._starts.move(self.simulator, np.flatnonzero(chosen).tolist())
         self.actuation[chosen] = 1.0
         if self.material == "reactive":
             self.stiffness[chosen] = 1.0
@@ -198,6 +204,28 @@ class TaskEngine(Observed, Episodes):
         self._seed(seeds)
         if self._stream is not None:
             self._stream.set_seed(seeds)
+
+    def set_starts(self, starts: int, seed: int = 0) -> None:
+        """Makes the worlds n = N / starts worlds several times over, from starts that differ by a hair.
+
+        World w is world w % n from start w // n, and draws what that one draws. Start 0 is the exact one; in the others
+        each point of the robot is moved by normal noise of 1e-6 metres, which the seed and the start's number say.
+        Nothing happens before the next reset. It is no part of the state, and 1 undoes it.
+
+        Raises:
+            ValueError: The worlds are no such repetition, or get their bodies from a stream.
+        """
+        n, rest = divmod(self.num_worlds, check_count("starts", starts))
+        if starts > 1 and self._stream is not None:
+            raise ValueError(f"starts: got {starts}, under a stream of bodies no two worlds are the same (1)")
+        if starts > 1 and (rest or n % self.num_designs):
+            raise ValueError(
+                f"starts: got {starts}, which does not share {self.num_worlds} worlds into equal parts, "
+                f"each with all of {self.num_designs} designs equally often"
+            )
+        self._starts = Starts(np.arange(self.num_worlds) // n, seed) if starts > 1 else None
+        for world in range(n, self.num_worlds) if starts > 1 else ():
+            self._rngs[world] = copy.deepcopy(self._rngs[world % n])
 
     def state(self) -> dict[str, Any]:
         """Returns a copy of everything that a step or a reset can change, for `set_state`.

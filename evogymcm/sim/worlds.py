@@ -203,8 +203,17 @@ class Worlds:
             :, :, is_moving
         ].transpose(0, 2, 1)
 
-    def move(self, name: str, offset: tuple[float, float], world: int) -> None:
-        """Shifts an object that has no fixed voxel by (x, y) metres, without giving it a velocity."""
+    def move(self, name: str, offset: tuple[float, float] | np.ndarray, world: int) -> None:
+        """Shifts an object that has no fixed voxel, or each of its points, without giving it a velocity.
+
+        Args:
+            name: Of the object.
+            offset: (x, y) metres, or (n, 2) for its n points.
+            world: The world.
+
+        Raises:
+            ValueError: It has fixed voxels, or there is no such object.
+        """
         placed = self.object(name, world)
         if placed.topology.is_fixed.any():
             raise ValueError(f"move: {name!r} has fixed voxels")

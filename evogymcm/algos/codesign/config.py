@@ -11,6 +11,7 @@ from evogymcm.algos.codesign.body_ppo import BodyPPOConfig, check_body_ppo
 from evogymcm.algos.codesign.body_search import check_budget
 from evogymcm.algos.codesign.genetic import check_population
 from evogymcm.algos.codesign.halving import HalvingSchedule
+from evogymcm.algos.learning.config import Selection, check_selection
 from evogymcm.algos.runs.older import of_arm
 from evogymcm.body import SAMPLE_WEIGHTS, STIFFNESS_HIGH, STIFFNESS_LOW, check_weights
 
@@ -94,6 +95,9 @@ class CodesignConfig:
         keep: share of the bodies that go on after each rung.
         age_protection: generations in which new bodies are protected, see `GeneticAlgorithm`.
         finetune_steps: env-steps of each survivor's fine-tuning after a search; None for 1 % of the training.
+        eval_starts: starts that differ by a hair from which a design is scored, see `evaluate`.
+        selection: what fitness is: the score from the exact start, or the "robust" one, the mean over several starts.
+            Which policy of a training is the best one, `ppo` says.
         ppo: inner loop of one body. `sharing` says whether the bodies of a generation have policies of their own
             ("independent") or one; its seeds and schedules are those of the run, and not set here.
         seed: where all draws come from: bodies, mutations, weights and exploration.
@@ -124,6 +128,8 @@ class CodesignConfig:
     keep: tuple[float, ...] = ()
     age_protection: int = 0
     finetune_steps: int | None = None
+    eval_starts: int = 1
+    selection: Selection = "score"
     ppo: BodyPPOConfig = field(default_factory=BodyPPOConfig)
     seed: int = 0
     num_threads: int | None = 1
@@ -142,6 +148,7 @@ class CodesignConfig:
         self._check_ppo()
         self._check_material()
         self._check_inheritance()
+        check_selection(self.selection, self.eval_starts)
         check_budget(self.shape, self.budget, self.weights)
         if self.method == "ga":
             check_population(self.population, self.budget)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from evogymcm.algos.codesign.config import CodesignConfig
 from evogymcm.algos.codesign.plan import Training, finetuning, generations, phases, trainings
-from evogymcm.algos.learning.evaluation import starts_of
+from evogymcm.algos.learning.evaluation import draws_of
 from evogymcm.envs.tasks import as_task
 
 __all__ = ["Cost", "cost_of"]
@@ -42,7 +42,9 @@ def cost_of(config: CodesignConfig) -> Cost:
         ValueError: There is no such task.
     """
     task = as_task(config.task)
-    evaluation = task.time_limit * starts_of(task)  # of one body
+    evaluation = task.time_limit * draws_of(task)  # of one body, from one start
+    scoring = config.eval_starts * evaluation
+    trying = scoring if config.selection == "robust" else evaluation  # a stiffness field
     spent: Counter[str] = Counter()
 
     def learn(kind: str, training: Training) -> None:
@@ -51,19 +53,20 @@ def cost_of(config: CodesignConfig) -> Cost:
         interval = training.ppo.eval_interval
         between = min(updates - 1, (updates - 1) * frames // interval) if interval else 0
         spent[kind] += training.bodies * updates * frames
-        spent["scoring"] += training.bodies * evaluation * (between + 2)  # with the untrained and the final policy
+        played = training.ppo.eval_starts * (between + 2)  # with the untrained and the final policy
+        spent["scoring"] += training.bodies * evaluation * played
 
     for generation, (new, survivors) in enumerate(generations(config)):
         for phase in phases(config, generation, survivors):
             if phase == "screen":
                 spent["screening"] += new * config.mutants * evaluation
             elif phase == "train":
-                spent["scoring"] += new * evaluation
+                spent["scoring"] += new * scoring
                 for training in trainings(config, generation, new):
                     learn("training", training)
             elif phase == "finetune":
-                spent["scoring"] += survivors * evaluation
+                spent["scoring"] += survivors * scoring
                 learn("finetuning", finetuning(config, generation, survivors))
             elif config.search:
-                spent["search"] += config.search.rounds * (config.search.candidates + 1) * survivors * evaluation
+                spent["search"] += config.search.rounds * survivors * (config.search.candidates * trying + scoring)
     return Cost(**spent)

@@ -39,7 +39,7 @@ class Trained:
     Attributes:
         best: each design's best policy.
         last: each design's last policy.
-        scores: (D,) of the best policies, as they were in training.
+        scores: (D,) of the best policies, as they were in training; robust ones where that was the selection.
         env_steps: simulated, evaluations included.
         finished: False if it was stopped.
     """
@@ -83,7 +83,8 @@ def train_designs(
         raise ValueError(f"initial: got {len(initial)} policies, expected one for each of {n} designs")
     start = None if initial is None else stack_policies(initial, ppo.sharing)
     trainer = Trainer(holding(make_env, designs), ppo.of_bodies(n))
-    return _apart(trainer.train(run=run, progress=progress, should_stop=should_stop, initial=start), n)
+    result = trainer.train(run=run, progress=progress, should_stop=should_stop, initial=start)
+    return _apart(result, n, ppo.selection)
 
 
 def exploring(policy: Policy, std: float) -> Policy:
@@ -111,7 +112,7 @@ def _is_same(one: Policy, other: Policy) -> bool:
     return all(torch.equal(value, other[name][key]) for name in parts for key, value in one[name].items())
 
 
-def _apart(result: TrainResult, n: int) -> Trained:
+def _apart(result: TrainResult, n: int, selection: str) -> Trained:
     """Returns a run's policies design by design."""
 
     def split(policy: Mapping[str, Any]) -> list[Policy]:
@@ -121,6 +122,6 @@ def _apart(result: TrainResult, n: int) -> Trained:
         parts = ("actor", "critic")
         return [{"form": form} | {name: take_state(policy[name], i) for name in parts} for i in range(n)]
 
-    scores = result.best["score"].numpy().astype(np.float64)
+    scores = result.best[selection].numpy().astype(np.float64)
     env_steps = result.env_steps + result.eval_steps
     return Trained(split(result.best), split(result.policy), scores, env_steps, result.finished)

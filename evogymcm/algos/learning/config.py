@@ -15,6 +15,7 @@ __all__ = ["PPOConfig", "TrainConfig"]
 Network = Literal["voxel", "mlp"]
 Context = Literal["none", "body", "message", "attention"]
 Sharing = Literal["shared", "independent"]
+Selection = Literal["score", "robust"]
 CONTEXTS = get_args(Context)
 
 DEVICES = ("cpu", "cuda", "mps", "xpu", "meta")  # kinds, of which "cuda:1" is one; "meta" computes nothing
@@ -69,6 +70,9 @@ class PPOConfig:
             itself has the policy's distribution, which is all that the likelihood ratios look at.
         eval_interval: env-steps between evaluations; 0 for only the untrained and the final policy.
         eval_worlds: worlds in an evaluation; None for one of each design, or 8 where the task draws at random.
+        eval_starts: starts that differ by a hair from which each of them is played, see `evaluate`.
+        selection: what the best policy is best by: the score of the exact start, or the "robust" one, the mean over
+            several starts.
         seed: seed of weights, exploration and environments.
         torch_threads: threads of torch while training.
         device: where the networks learn, such as "cuda"; the simulator runs on the CPU. Noise and the order of samples
@@ -103,6 +107,8 @@ class PPOConfig:
     noise_correlation: float = 0.0
     eval_interval: int = 50_000
     eval_worlds: int | None = None
+    eval_starts: int = 1
+    selection: Selection = "score"
     seed: int = 0
     torch_threads: int = 1
     device: str = "cpu"
@@ -118,11 +124,18 @@ class PPOConfig:
         if not begin < end:
             raise ValueError(f"schedule: got {self.schedule}, expected two rising shares from 0 to 1")
         object.__setattr__(self, "schedule", (begin, end))
+        check_selection(self.selection, self.eval_starts)
 
     @property
     def frames_per_update(self) -> int:
         """Env-steps of one rollout, all worlds together."""
         return self.num_worlds * self.rollout_steps
+
+
+def check_selection(selection: Selection, eval_starts: int) -> None:
+    """Raises a ValueError where a robust score is asked for that nobody measures."""
+    if selection == "robust" and eval_starts == 1:
+        raise ValueError("selection: got 'robust', the mean over several starts, which needs eval_starts of at least 2")
 
 
 Field = tuple[tuple[float, ...], ...]

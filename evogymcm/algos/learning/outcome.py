@@ -40,8 +40,8 @@ class TrainResult:
         eval_steps: env-steps simulated in evaluations, which `env_steps` leaves out.
         seconds: wall time of training and evaluations.
         finished: False if the run was stopped before its end.
-        best: the policy of the best evaluation, as it is saved, with its `score` in each world of that evaluation; of
-            independent policies each one's best.
+        best: the policy of the best evaluation, as it is saved, with its `score` in each world of that evaluation, and
+            its `robust` score where that was the selection; of independent policies each one's best.
         policy: the last policy, as it is saved.
     """
 

@@ -19,13 +19,14 @@ from evogymcm.algos.learning.config import PPOConfig
 from evogymcm.algos.learning.critic import make_critic
 from evogymcm.algos.learning.devices import find_device, on_cpu
 from evogymcm.algos.learning.env import EnvFactory
-from evogymcm.algos.learning.evaluation import Evaluation, evaluate, starts_of
+from evogymcm.algos.learning.evaluation import Evaluation, draws_of, evaluate
 from evogymcm.algos.learning.loop import train_to_the_end
 from evogymcm.algos.learning.outcome import Progress, TrainResult
 from evogymcm.algos.learning.ppo import PPOLearner
 from evogymcm.algos.learning.stacking import PerDesign, by_design, stack_states
 from evogymcm.algos.learning.threads import exploration, limited_threads
 from evogymcm.algos.runs.folder import RunFolder
+from evogymcm.envs.engines import engine_of
 
 __all__ = ["Trainer"]
 
@@ -87,7 +88,8 @@ class Trainer:
         config, copies = self.config, _copies(self.config, env)
         self.designs = env.num_designs
         is_stream = getattr(env, "changes_bodies", False)
-        self._eval_worlds = config.eval_worlds or (N_HELD_OUT if is_stream else self.designs * starts_of(env.task))
+        self._eval_worlds = config.eval_worlds or (N_HELD_OUT if is_stream else self.designs * draws_of(env.task))
+        self._check_starts(env)
         options: dict[str, Any] = {"network": config.network, "copies": copies, "generator": self.generator}
         with limited_threads(config.torch_threads):
             self.actor = make_actor(env, config.hidden, config.initial_std, context=config.context, **options)
@@ -104,6 +106,19 @@ class Trainer:
                 frames_per_batch=config.frames_per_update,
                 auto_register_policy_transforms=False,
                 track_traj_ids=False,
+            )
+
+    def _check_starts(self, env: EnvBase) -> None:
+        """Raises a ValueError where an evaluation cannot have as many starts as the settings say."""
+        starts = self.config.eval_starts
+        if starts == 1:
+            return
+        if getattr(env, "changes_bodies", False):
+            raise ValueError(f"eval_starts: got {starts}, under a stream of bodies no two worlds are the same (1)")
+        engine_of(env)
+        if self._eval_worlds % self.designs:
+            raise ValueError(
+                f"eval_worlds: got {self._eval_worlds}, eval_starts {starts} needs a multiple of {self.designs} designs"
             )
 
     def train(
@@ -159,12 +174,13 @@ class Trainer:
         self.critic.observe(sample)
 
     def evaluate(self) -> Evaluation:
-        """Plays an episode in each world of a fresh environment with the present policy."""
+        """Plays an episode in each world of a fresh environment, from each start, with the present policy."""
         start = time.perf_counter()
-        env = self._moved(self.make_eval_env(num_worlds=self._eval_worlds, seed=self._eval_seed))
+        starts = self.config.eval_starts
+        env = self._moved(self.make_eval_env(num_worlds=starts * self._eval_worlds, seed=self._eval_seed))
         try:
             with limited_threads(self.config.torch_threads):
-                result = evaluate(self.policy, env)
+                result = evaluate(self.policy, env, starts, start_seed=self._eval_seed)
         finally:
             env.close(raise_if_closed=False)
         self.eval_steps += result.env_steps
@@ -176,25 +192,27 @@ class Trainer:
         return {"form": self.actor.form, **self.learner.state_dict()}
 
     def take_best(self, evaluation: Evaluation) -> bool:
-        """Keeps the present policy in `best` where its score is the highest so far; returns whether it is.
+        """Keeps the present policy in `best` where it is the best so far, by `selection`; returns whether it is.
 
-        A shared policy is judged by its mean score over worlds. Independent ones are compared each with itself: `best`
-        then holds policies of different moments.
+        A shared policy is judged by its mean over worlds. Independent ones are compared each with itself: `best` then
+        holds policies of different moments.
         """
-        score, state = torch.from_numpy(evaluation.score), self.policy_state()
-        copies = self.actor.copies
+        state, by, copies = self.policy_state(), self.config.selection, self.actor.copies
+        scores = {name: torch.from_numpy(getattr(evaluation, name)) for name in ("score", by)}
         if copies is not None:
-            score = score.reshape(-1, copies).mean(0)
-        if self.best is None or (copies is None and score.mean() > self.best["score"].mean()):
-            self.best = {name: copy.deepcopy(state[name]) for name in ("form", "actor", "critic")} | {"score": score}
+            scores = {name: values.reshape(-1, copies).mean(0) for name, values in scores.items()}
+        worth = scores[by]
+        if self.best is None or (copies is None and worth.mean() > self.best[by].mean()):
+            self.best = {name: copy.deepcopy(state[name]) for name in ("form", "actor", "critic")} | scores
             return True
-        is_better = torch.zeros_like(score, dtype=torch.bool) if copies is None else score > self.best["score"]
+        is_better = torch.zeros_like(worth, dtype=torch.bool) if copies is None else worth > self.best[by]
         if not is_better.any():
             return False
         for name in ("actor", "critic"):
             for key, values in state[name].items():
                 self.best[name][key][is_better] = values[is_better]
-        self.best["score"] = torch.where(is_better, score, self.best["score"])
+        for name, values in scores.items():
+            self.best[name] = torch.where(is_better, values, self.best[name])
         return True
 
     def start_from(self, policy: Mapping[str, Any]) -> None:

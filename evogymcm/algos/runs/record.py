@@ -27,7 +27,10 @@ _SAVED = (  # in result.json; the settings lie in config.json, the rows in the t
     *("seconds", "curve", "final", "best", "n_designs", "origin"),
 )
 _LABELS = ("variant", "label", "arm")  # by which experiments compare
-_EVALUATION = ("score", "return", "episode_length", "goal_rate", "unstable", "steps_to_goal", "fraction_of_ceiling")
+_EVALUATION = (  # see `Evaluation.summary`
+    *("score", "return", "episode_length", "goal_rate", "unstable", "steps_to_goal", "fraction_of_ceiling"),
+    *("robust_score", "spread"),
+)
 _FIRST_PHASES = ("screen", "train")  # of a generation of co-design
 _MATERIALS = {  # of arms, as earlier versions called comparisons of settings
     "reactive": "reactive",
