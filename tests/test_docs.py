@@ -57,9 +57,7 @@ WITH_CODE = [page for page in PAGES if list(blocks_of(page))]
 
 
 @pytest.mark.usefixtures("own_registries")
-@pytest.mark.parametrize(
-    "page", [pytest.param(page, marks=[pytest.mark.slow] * (page in LONG)) for page in WITH_CODE]
-)
+@pytest.mark.parametrize("page", [pytest.param(page, marks=[pytest.mark.slow] * (page in LONG)) for page in WITH_CODE])
 def test_code_runs_and_prints_what_is_shown(page, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     module = types.ModuleType("page")  # dataclasses look their module up
