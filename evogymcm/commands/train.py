@@ -34,6 +34,7 @@ Ctrl-C stops at the end of the present update; --resume goes on from there.
 examples:
   evogymcm train Walker-v0 --body Walk_Bot --total-steps 200000
   evogymcm train Walker-v0 --body HHH/V.V --material invariant --stiffness 2,2,2/0.5,1,0.5
+  evogymcm train Walker-v0 --random-bodies 5 5 --hidden 64
   evogymcm train --world terrain.json --body robot.npz
   evogymcm train Walker-v0 --body Walk_Bot --run runs/first --logger csv
   evogymcm train Walker-v0 --body Walk_Bot --run runs/first --logger csv --resume"""
@@ -48,6 +49,7 @@ class Options:
         world: walk in the world of this file instead (.json of the EvoGym Design Tool, or a picture, .txt).
         body: rows of voxels (HHH/S.R), a robot's name or a file (.npz, .npy, .txt, .json); several learn side by
             side.
+        random_bodies: rows and columns of random bodies, a fresh one in every episode; evaluations are of others.
         material: whether the policy sets stiffness too ("reactive"), or stiffness belongs to the body.
         stiffness: with --material invariant, a number, or numbers in rows like the body's (2,2,2/0.5,1,0.5); one
             for all bodies or one for each.
@@ -63,6 +65,9 @@ class Options:
     task: Annotated[tyro.conf.Positional[str], arg(metavar="TASK", help_behavior_hint="(or --world)")] = ""
     world: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
     body: Annotated[tuple[str, ...], arg(metavar="BODY", help_behavior_hint="(default: the task's own robot)")] = ()
+    random_bodies: Annotated[
+        tuple[int, int] | None, arg(metavar="ROWS COLUMNS", help_behavior_hint="(default: BODY)")
+    ] = None
     material: Material = "reactive"
     stiffness: Annotated[tuple[str, ...], arg(metavar="FIELD", help_behavior_hint="(default: 1)")] = ()
     edge_rule: EdgeRule = "mean_factor"
@@ -99,7 +104,7 @@ def run(options: Options, arguments: Sequence[str]) -> int:
     if result.final is None:
         print(f"stopped after {result.env_steps:,} env-steps; to go on:\n  {how_to_resume('train', arguments)}")
         return INTERRUPTED
-    _print_result(result, config.bodies, folder.path)
+    _print_result(result, config.bodies or ("random bodies",), folder.path)
     return 0
 
 
@@ -110,8 +115,18 @@ def _config(options: Options) -> TrainConfig:
         ValueError: A world, body or stiffness cannot be used.
     """
     task = choose_task(options.task, options.world)
-    config = TrainConfig(task, options.body, options.material, edge_rule=options.edge_rule, ppo=options.ppo).resolved()
-    fields = read_stiffness(options.stiffness, config.bodies)
+    config = TrainConfig(
+        task,
+        options.body,
+        options.material,
+        edge_rule=options.edge_rule,
+        random_bodies=options.random_bodies,
+        ppo=options.ppo,
+    ).resolved()
+    is_stream = config.random_bodies is not None
+    fields = read_stiffness(options.stiffness, ["H"] if is_stream else config.bodies)
+    if fields is not None and is_stream:  # a number: what fits a single voxel
+        return replace(config, stiffness=fields[0].item())
     return config if fields is None else replace(config, stiffness=tuple(rows.tolist() for rows in fields))
 
 

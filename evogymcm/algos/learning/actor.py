@@ -101,7 +101,8 @@ class Actor(TensorDictModuleBase):
         """Returns standard normal noise (..., V, heads), correlated with that of the step before."""
         loc = next(iter(dist.heads.values())).loc
         shape = (*loc.shape, len(self.ranges))
-        fresh = torch.randn(shape, generator=self.generator, dtype=loc.dtype, device=loc.device)
+        place = loc.device if self.generator is None else self.generator.device
+        fresh = torch.randn(shape, generator=self.generator, dtype=loc.dtype, device=place).to(loc.device)
         if not self.noise_correlation:
             return fresh
         if self.noise is None or self.noise.shape != fresh.shape:

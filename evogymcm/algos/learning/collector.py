@@ -5,6 +5,8 @@ from typing import Any
 from tensordict import TensorDict, TensorDictBase
 from torchrl.collectors import Collector
 
+from evogymcm.algos.learning.devices import on_cpu
+
 __all__ = ["WorldCollector"]
 
 
@@ -18,12 +20,13 @@ class WorldCollector(Collector):
     _carrier: TensorDictBase
 
     def state_dict(self) -> dict[str, Any]:
-        """Returns the environment's state and the policy's next input."""
-        return {"env": dict(self.env.state_dict()), "carrier": self._carrier.to_dict()}
+        """Returns the environment's state and the policy's next input, on the CPU."""
+        return {"env": dict(self.env.state_dict()), "carrier": on_cpu(self._carrier.to_dict())}
 
     def load_state_dict(self, state_dict: dict[str, Any], **kwargs: Any) -> None:
         """Restores what `state_dict` returned."""
         if not state_dict["env"]:
             return
         self.env.load_state_dict(state_dict["env"])
-        self._carrier = TensorDict(state_dict["carrier"], batch_size=self._carrier.batch_size)
+        carrier = self._carrier
+        self._carrier = TensorDict(state_dict["carrier"], batch_size=carrier.batch_size, device=carrier.device)

@@ -6,8 +6,8 @@ from typing import Literal, get_args
 import numpy as np
 
 from evogymcm._messages import brief
-from evogymcm._settings import EdgeRule, Material, check_fields, check_number, check_pair
-from evogymcm.algos.learning.bodies import as_texts, default_body, written_out
+from evogymcm._settings import EdgeRule, Material, check_count, check_fields, check_number, check_pair
+from evogymcm.algos.learning.bodies import N_HELD_OUT, as_texts, default_body, held_out_bodies, written_out
 from evogymcm.body import STIFFNESS_HIGH, STIFFNESS_LOW, Body, as_body, check_stiffness
 
 __all__ = ["PPOConfig", "TrainConfig"]
@@ -70,6 +70,8 @@ class PPOConfig:
         eval_worlds: worlds in an evaluation; None for one of each design, or 8 where the task draws at random.
         seed: seed of weights, exploration and environments.
         torch_threads: threads of torch while training.
+        device: where the networks learn, such as "cuda"; the simulator runs on the CPU. Noise and the order of samples
+            are drawn on the CPU, the same for every device; sums are rounded otherwise.
 
     Raises:
         ValueError: A value is of the wrong kind or out of range.
@@ -102,9 +104,12 @@ class PPOConfig:
     eval_worlds: int | None = None
     seed: int = 0
     torch_threads: int = 1
+    device: str = "cpu"
 
     def __post_init__(self) -> None:
         check_fields(self, _BOUNDS)
+        if not isinstance(self.device, str) or not self.device:
+            raise ValueError(f"device: got {self.device!r}, expected a name that torch knows, as 'cuda'")
         begin, end = (check_number("schedule", share, low=0, high=1) for share in check_pair("schedule", self.schedule))
         if not begin < end:
             raise ValueError(f"schedule: got {self.schedule}, expected two rising shares from 0 to 1")
@@ -129,8 +134,10 @@ class TrainConfig:
             given: the EvoGymCM paper's robot of the task, or the one in the world's file. `Body` objects and other
             things that `as_body` takes become texts.
         material: Whether the policy sets stiffness too ("reactive"), or stiffness belongs to the body ("invariant").
-        stiffness: "invariant" only: one number for all, or a field (rows, cols) for each body; None is 1.
+        stiffness: "invariant" only: one number for all, or a field (rows, cols) for each of `bodies`; None is 1.
         edge_rule: How stiffness acts on shared edges.
+        random_bodies: Rows and columns of random bodies instead of `bodies`: every episode of every world has a fresh
+            one. Evaluations are of `ppo.eval_worlds` bodies (64 by default) that no run trains on, the same in all.
         ppo: Settings of PPO.
 
     Raises:
@@ -142,6 +149,7 @@ class TrainConfig:
     material: Material = "invariant"
     stiffness: float | tuple[Field, ...] | None = None
     edge_rule: EdgeRule = "mean_factor"
+    random_bodies: tuple[int, int] | None = None
     ppo: PPOConfig = field(default_factory=PPOConfig)
 
     def __post_init__(self) -> None:
@@ -151,6 +159,8 @@ class TrainConfig:
             raise ValueError(f"ppo: got {brief(self.ppo)}, expected a PPOConfig")
         object.__setattr__(self, "bodies", as_texts(self.bodies))
         check_fields(self, {"stiffness": {"low": STIFFNESS_LOW, "high": STIFFNESS_HIGH}})
+        if self.random_bodies is not None:
+            self._check_stream()
         if self.stiffness is None:
             return
         if self.material == "reactive":
@@ -159,21 +169,37 @@ class TrainConfig:
             fields = tuple(tuple(tuple(map(float, row)) for row in rows) for rows in self.stiffness)
             object.__setattr__(self, "stiffness", fields)
 
+    def _check_stream(self) -> None:
+        rows, columns = check_pair("random_bodies", self.random_bodies)
+        shape = check_count("random_bodies", rows), check_count("random_bodies", columns)
+        object.__setattr__(self, "random_bodies", shape)
+        if self.bodies:
+            raise ValueError(f"random_bodies: got {shape} and bodies too, expected one of them")
+        if not (self.stiffness is None or isinstance(self.stiffness, float)):
+            raise ValueError("stiffness: random bodies take one number for all")
+
     def resolved(self) -> "TrainConfig":
         """Returns the same settings with the task's own robot named, and bodies that lie in files written as rows.
 
         Raises:
             ValueError: A file cannot be read.
         """
+        if self.random_bodies is not None:
+            return self
         return replace(self, bodies=tuple(map(written_out, self.bodies or (default_body(self.task),))))
 
     def designs(self) -> tuple[list[Body], list[np.ndarray] | None]:
         """Returns the bodies, and a stiffness field for each; None instead of fields where there are none.
 
+        Of random bodies it is those of evaluations.
+
         Raises:
             ValueError: A body is not valid, or a field does not fit its body.
         """
-        bodies = [as_body(text) for text in self.bodies or (default_body(self.task),)]
+        if self.random_bodies is not None:
+            bodies = held_out_bodies(self.random_bodies, self.ppo.eval_worlds or N_HELD_OUT)
+        else:
+            bodies = [as_body(text) for text in self.bodies or (default_body(self.task),)]
         if self.stiffness is None:
             return bodies, None
         if isinstance(self.stiffness, float):

@@ -13,9 +13,11 @@ from torchrl.envs import EnvBase
 from torchrl.record.loggers import Logger
 
 from evogymcm.algos.learning.actor import make_actor
+from evogymcm.algos.learning.bodies import N_HELD_OUT
 from evogymcm.algos.learning.collector import WorldCollector
 from evogymcm.algos.learning.config import PPOConfig
 from evogymcm.algos.learning.critic import make_critic
+from evogymcm.algos.learning.devices import find_device, on_cpu
 from evogymcm.algos.learning.env import EnvFactory
 from evogymcm.algos.learning.evaluation import Evaluation, evaluate, starts_of
 from evogymcm.algos.learning.loop import train_to_the_end
@@ -53,17 +55,22 @@ class Trainer:
         make_env: makes the training environment and a fresh one for each evaluation. Their seeds, made from the run's,
             differ.
         config: settings of the run.
+        make_eval_env: makes those of evaluations, where they are others: bodies that training never sees, say.
+
+    Raises:
+        ValueError: Settings do not go together, or this machine has no such device.
     """
 
-    def __init__(self, make_env: EnvFactory, config: PPOConfig) -> None:
-        self.make_env, self.config = make_env, config
+    def __init__(self, make_env: EnvFactory, config: PPOConfig, make_eval_env: EnvFactory | None = None) -> None:
+        self.make_env, self.config, self.make_eval_env = make_env, config, make_eval_env or make_env
+        self.device = find_device(config.device)
         self.env_steps, self.eval_steps, self.seconds = 0, 0, 0.0
         self._is_fresh = True
         self.best: dict[str, Any] | None = None
         self.generator = torch.Generator().manual_seed(config.seed)
         # Worlds count up from a seed: those of training and evaluation, and of other runs, must not come near it.
         seed, self._eval_seed = np.random.SeedSequence(config.seed).generate_state(2).tolist()
-        self._env = make_env(num_worlds=config.num_worlds, seed=seed)
+        self._env = self._moved(make_env(num_worlds=config.num_worlds, seed=seed))
         self._is_open = True
         try:
             self._set_up(self._env)
@@ -71,15 +78,22 @@ class Trainer:
             self._env.close(raise_if_closed=False)
             raise
 
+    def _moved(self, env: EnvBase) -> EnvBase:
+        """Returns the environment with its tensors on the device of the networks."""
+        return env if self.device.type == "cpu" else env.to(self.device)
+
     def _set_up(self, env: EnvBase) -> None:
         """Makes the networks and what trains them."""
         config, copies = self.config, _copies(self.config, env)
         self.designs = env.num_designs
-        self._eval_worlds = config.eval_worlds or self.designs * starts_of(env.task)
+        is_stream = getattr(env, "changes_bodies", False)
+        self._eval_worlds = config.eval_worlds or (N_HELD_OUT if is_stream else self.designs * starts_of(env.task))
         options: dict[str, Any] = {"network": config.network, "copies": copies, "generator": self.generator}
         with limited_threads(config.torch_threads):
             self.actor = make_actor(env, config.hidden, config.initial_std, context=config.context, **options)
             self.critic = make_critic(env, config.hidden, **options)
+        self.actor.to(self.device)
+        self.critic.to(self.device)
         self.actor.noise_correlation, self.actor.generator = config.noise_correlation, self.generator
         self.policy = self.actor if copies is None else PerDesign(self.actor, copies)
         self.learner = PPOLearner(self.actor, self.critic, config, self.generator)
@@ -147,7 +161,7 @@ class Trainer:
     def evaluate(self) -> Evaluation:
         """Plays an episode in each world of a fresh environment with the present policy."""
         start = time.perf_counter()
-        env = self.make_env(num_worlds=self._eval_worlds, seed=self._eval_seed)
+        env = self._moved(self.make_eval_env(num_worlds=self._eval_worlds, seed=self._eval_seed))
         try:
             with limited_threads(self.config.torch_threads):
                 result = evaluate(self.policy, env)
@@ -201,7 +215,7 @@ class Trainer:
             "learner": self.learner.state_dict(),
             "worlds": self.collector.state_dict(),
             "rng": self.generator.get_state(),
-            "noise": self.actor.noise,
+            "noise": on_cpu(self.actor.noise),
             "env_steps": self.env_steps,
             "eval_steps": self.eval_steps,
             "seconds": self.seconds,
@@ -213,18 +227,23 @@ class Trainer:
         self.learner.load_state_dict(state["learner"])
         self.collector.load_state_dict(state["worlds"])
         self.generator.set_state(state["rng"])
-        self.actor.noise = state["noise"]
+        self.actor.noise = None if state["noise"] is None else state["noise"].to(self.device)
         self.env_steps, self.eval_steps = state["env_steps"], state["eval_steps"]
         self.seconds, self.best = state["seconds"], state["best"]
 
     def close(self) -> None:
-        """Closes the environment, with its threads, and hands the actor's noise over to torch's global generator."""
+        """Closes the environment, with its threads; the networks are then on the CPU, like environments by default.
+
+        The actor's noise is handed over to torch's global generator.
+        """
         if not self._is_open:
             return
         self._is_open = False
         self.collector.shutdown(close_env=False)
         self._env.close(raise_if_closed=False)  # TorchRL takes environments for closed that were never open
-        self.actor.generator = None
+        self.actor.cpu()
+        self.critic.cpu()
+        self.actor.generator = self.actor.noise = None
 
     def __enter__(self) -> Self:
         return self

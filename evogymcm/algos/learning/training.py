@@ -10,8 +10,8 @@ from typing import Any
 from torchrl.record.loggers import Logger
 
 from evogymcm._messages import brief
+from evogymcm.algos.learning.bodies import RandomBodies
 from evogymcm.algos.learning.config import PPOConfig, TrainConfig
-from evogymcm.algos.learning.env import EnvFactory
 from evogymcm.algos.learning.loop import train_to_the_end
 from evogymcm.algos.learning.outcome import Progress, TrainResult
 from evogymcm.algos.learning.trainer import Trainer
@@ -91,7 +91,7 @@ def make_trainer(config: TrainConfig, num_threads: int | None = None) -> Trainer
         ValueError: The task, a body or a field cannot be used, or settings do not go together.
     """
     bodies, fields = config.designs()
-    make_env: EnvFactory = partial(
+    make_env = partial(
         SoftRobotEnv,
         config.task,
         bodies=bodies,
@@ -99,8 +99,13 @@ def make_trainer(config: TrainConfig, num_threads: int | None = None) -> Trainer
         stiffness=fields,
         edge_rule=config.edge_rule,
         num_threads=num_threads,
+        grid_shape=config.random_bodies,
     )
-    return Trainer(make_env, config.ppo)
+    if config.random_bodies is None:
+        return Trainer(make_env, config.ppo)
+    assert config.stiffness is None or isinstance(config.stiffness, float)
+    stream = RandomBodies(config.random_bodies, config.stiffness)
+    return Trainer(partial(make_env, bodies=stream, stiffness=None), config.ppo, make_env)
 
 
 def _record(config: TrainConfig, origin: Mapping[str, Any], result: TrainResult | None) -> RunRecord:
