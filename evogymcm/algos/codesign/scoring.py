@@ -23,7 +23,7 @@ __all__ = ["Scores", "score_alone", "score_proposals", "score_together"]
 
 @dataclass(frozen=True)
 class Scores:
-    """What designs are worth under their policies, as means over episodes where resets are random.
+    """Scores of designs under their policies, as means over several episodes if resets are random.
 
     Attributes:
         score: (D,) as the EvoGymCM paper counts, see `Evaluation`.
@@ -106,7 +106,7 @@ def score_alone(make_env: MakeEnv, designs: Sequence[Design], policies: Sequence
         make_env: see `train_designs`.
         designs: D designs.
         policies: D policies.
-        seed: where tasks with random resets draw from; those of several episodes count up. The same for all designs.
+        seed: seed of random resets, counted up over several episodes; the same for all designs.
 
     Raises:
         ValueError: There are not as many policies as designs.

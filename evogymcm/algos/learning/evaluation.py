@@ -22,13 +22,13 @@ class Evaluation:
     """First episode of every world; all arrays are (N,).
 
     Attributes:
-        score: sum of the rewards of all env-steps but the episode's last one, as the EvoGymCM paper counts.
+        score: sum of the rewards without that of the last env-step, as in the EvoGymCM paper.
         returns: sum of all rewards, with goal bonuses and penalties.
         length: env-steps of the episode.
         goal: whether it ended at a goal of the task.
         unstable: whether the simulation became unstable.
-        env_steps: simulated in all, the sum of `length`: a world that waits for the others is not simulated.
-        ceiling: largest possible score where the task has one, NaN where it has none.
+        env_steps: env-steps simulated in all, the sum of `length`; worlds that wait for others are not simulated.
+        ceiling: largest possible score, NaN for tasks without one.
     """
 
     score: NDArray[np.float64]
@@ -45,7 +45,7 @@ class Evaluation:
         return self.score / self.ceiling
 
     def summary(self) -> dict[str, float]:
-        """Returns the means over worlds, ready for a table; those of goal and ceiling only where there is one."""
+        """Returns the means over worlds, ready for a table; goal and ceiling only if there are any."""
         row = {
             "score": float(self.score.mean()),
             "return": float(self.returns.mean()),
@@ -72,8 +72,8 @@ def starts_of(task: object) -> int:
 def evaluate(policy: "TensorDictModuleBase | Gait", env: object) -> Evaluation:
     """Plays one episode in every world with deterministic actions and returns the outcome, see `play`.
 
-    Give it a freshly made environment: a reset restores the initial state, but the worlds' own random generators go on
-    from where they were.
+    Use a freshly made environment: a reset restores the initial state, but the random generators of the worlds continue
+    where they were.
 
     Args:
         policy: The actor, any TensorDict module that writes the action of `SoftRobotEnv`, or a gait, see `play`.
