@@ -149,7 +149,7 @@ class RunFolder(RunFiles):
         return [file for file in files if file.name != _LOCK and (halves or file.suffix != ".part")]
 
     def _may_begin(self, config: Mapping[str, Any], resume: bool, overwrite: bool) -> bool:
-        """Whether a run begins here; False where one is gone on with. Raises an error where neither is allowed."""
+        """Returns whether a run starts here; False if one is resumed. Raises an error where neither is allowed."""
         if not self._files():
             return True
         if not (self.path / CONFIG).is_file():
