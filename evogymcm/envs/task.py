@@ -13,7 +13,7 @@ import numpy as np
 from evogymcm.sim.world import World
 
 if TYPE_CHECKING:  # the package registers its tasks at import, and must not load numba for it
-    from evogymcm.sim.readings import Readings
+    from evogymcm.sim.kernels.readings import Readings
 
 
 # Which worlds end, (N,) bool; what that adds to the reward; and whether it is a goal, see `Task.endings`.

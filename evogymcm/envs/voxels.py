@@ -11,13 +11,13 @@ row and column, from -1 to 1). Cells without a voxel contain zeros.
 import numpy as np
 
 from evogymcm.body import H_ACT, V_ACT
-from evogymcm.sim._jit import kernel
-from evogymcm.sim.readings import ACTUATION as ACTUATION
-from evogymcm.sim.readings import N_FEATURES as N_FEATURES
-from evogymcm.sim.readings import PLACE as PLACE
-from evogymcm.sim.readings import POSITIONS as POSITIONS
-from evogymcm.sim.readings import STIFFNESS as STIFFNESS
-from evogymcm.sim.readings import VELOCITIES as VELOCITIES
+from evogymcm.sim.kernels._jit import kernel
+from evogymcm.sim.kernels.readings import ACTUATION as ACTUATION
+from evogymcm.sim.kernels.readings import N_FEATURES as N_FEATURES
+from evogymcm.sim.kernels.readings import PLACE as PLACE
+from evogymcm.sim.kernels.readings import POSITIONS as POSITIONS
+from evogymcm.sim.kernels.readings import STIFFNESS as STIFFNESS
+from evogymcm.sim.kernels.readings import VELOCITIES as VELOCITIES
 
 N_TYPES = 5  # codes of a body's grid, empty included
 # Rows and columns to the neighbours above, right, below, left, in the order of a voxel's sides.

@@ -7,7 +7,15 @@ import numpy as np
 
 from evogymcm.envs.core import TaskEngine
 from evogymcm.sim.constants import VOXEL
-from evogymcm.sim.readings import CENTRE, N_SCRATCH, ORIENTATION, VELOCITY, WINDOW_REACH, new_readings, read_object
+from evogymcm.sim.kernels.readings import (
+    CENTRE,
+    N_SCRATCH,
+    ORIENTATION,
+    VELOCITY,
+    WINDOW_REACH,
+    new_readings,
+    read_object,
+)
 from evogymcm.sim.world import ROBOT
 
 _INSTEAD = {

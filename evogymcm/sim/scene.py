@@ -15,7 +15,7 @@ import numpy as np
 
 from evogymcm._settings import EdgeRule
 from evogymcm.sim.constants import MISSING, Physics
-from evogymcm.sim.contact_order import join_trees, put_first
+from evogymcm.sim.kernels.contact_order import join_trees, put_first
 from evogymcm.sim.parts import Fixed, PlacedObject, Sizes, object_tables, uses_of
 from evogymcm.sim.tables import Layout, Terrain
 from evogymcm.sim.world import WorldObject

@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from evogymcm.sim._jit import announce_compilation, entry
 from evogymcm.sim._threads import Threads
-from evogymcm.sim.advance import Room, Scratch, advance, new_scratch, set_stiffness
 from evogymcm.sim.constants import SUBSTEPS, Physics
 from evogymcm.sim.designs import Objects
+from evogymcm.sim.kernels._jit import announce_compilation, entry
+from evogymcm.sim.kernels.advance import Room, Scratch, advance, new_scratch, set_stiffness
 from evogymcm.sim.scene import Scene
 from evogymcm.sim.worlds import Worlds
 

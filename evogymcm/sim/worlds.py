@@ -6,13 +6,13 @@ from typing import Any
 
 import numpy as np
 
-from evogymcm.sim.advance import Room, Storage
 from evogymcm.sim.constants import Physics
 from evogymcm.sim.designs import Designs, Objects
+from evogymcm.sim.kernels.advance import Room, Storage
+from evogymcm.sim.kernels.vectors import aligned_zeros, on_lines
 from evogymcm.sim.parts import PlacedObject
 from evogymcm.sim.scene import Scene
 from evogymcm.sim.tables import END_CELL, FIRST_CELL
-from evogymcm.sim.vectors import aligned_zeros, on_lines
 from evogymcm.sim.world import WorldObject
 
 _LISTED = 4  # candidates, for each surface voxel, that a list has room for at first

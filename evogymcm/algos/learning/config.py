@@ -17,6 +17,7 @@ Context = Literal["none", "body", "message", "attention"]
 Sharing = Literal["shared", "independent"]
 CONTEXTS = get_args(Context)
 
+DEVICES = ("cpu", "cuda", "mps", "xpu", "meta")  # kinds, of which "cuda:1" is one; "meta" computes nothing
 _BOUNDS: dict[str, dict[str, float]] = {  # counts without any: from 1
     "eval_interval": {"low": 0},
     "seed": {"low": 0},
@@ -108,8 +109,11 @@ class PPOConfig:
 
     def __post_init__(self) -> None:
         check_fields(self, _BOUNDS)
-        if not isinstance(self.device, str) or not self.device:
-            raise ValueError(f"device: got {self.device!r}, expected a name that torch knows, as 'cuda'")
+        kind, _, number = self.device.partition(":") if isinstance(self.device, str) else ("", "", "")
+        if kind not in DEVICES or not (number.isdigit() or kind == self.device):
+            raise ValueError(
+                f"device: got {self.device!r}, allowed are {', '.join(DEVICES)}, also with a number ('cuda:1')"
+            )
         begin, end = (check_number("schedule", share, low=0, high=1) for share in check_pair("schedule", self.schedule))
         if not begin < end:
             raise ValueError(f"schedule: got {self.schedule}, expected two rising shares from 0 to 1")

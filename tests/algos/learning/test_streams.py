@@ -69,7 +69,7 @@ def test_random_bodies_have_the_stiffness_that_is_given():
         ({"bodies": ("HH/VV",)}, r"random_bodies: got \(3, 3\) and bodies too"),
         ({"stiffness": (((1.0, 1.0),),)}, "random bodies take one number"),
         ({"ppo": replace(TINY, sharing="independent")}, "a stream of bodies needs 'shared'"),
-        ({"ppo": replace(TINY, device="abacus")}, "device: got 'abacus', which torch cannot use here"),
+        ({"ppo": replace(TINY, device="cuda:99")}, "device: got 'cuda:99', which torch cannot use here"),
     ],
 )
 def test_what_does_not_go_together_is_said(wrong, said):
