@@ -50,10 +50,10 @@ class Options:
 
     Attributes:
         config: settings of the run.
-        has_search: search the survivors' stiffness fields, and fine-tune after it.
+        has_search: search the survivors' stiffness fields, then fine-tune.
         search: settings of that search.
         run: folder of the run.
-        resume: go on with the run in the folder.
+        resume: continue the run in the folder.
         overwrite: replace the run in the folder.
     """
 
@@ -122,7 +122,7 @@ def _show(bar: Bar, state: "CodesignProgress") -> None:
 
 
 def _print_best(config: CodesignConfig, result: "CodesignResult", path: Path) -> None:
-    """Prints the best design with its score, had again in a fresh world."""
+    """Prints the best design with its score, played again in a fresh world."""
     import numpy as np
 
     from evogymcm.algos.codesign import score_alone

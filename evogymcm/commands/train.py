@@ -45,19 +45,19 @@ class Options:
     """Options of the command.
 
     Attributes:
-        task: such as Walker-v0; `evogymcm tasks` lists them.
+        task: id of the task, such as Walker-v0; `evogymcm tasks` lists all.
         world: walk in the world of this file instead (.json of the EvoGym Design Tool, or a picture, .txt).
         body: rows of voxels (HHH/S.R), a robot's name or a file (.npz, .npy, .txt, .json); several learn side by
             side.
-        random_bodies: rows and columns of random bodies, a fresh one in every episode; evaluations are of others.
+        random_bodies: rows and columns of random bodies, a fresh one in every episode; evaluations use others.
         material: whether the policy sets stiffness too ("reactive"), or stiffness belongs to the body.
         stiffness: with --material invariant, a number, or numbers in rows like the body's (2,2,2/0.5,1,0.5); one
             for all bodies or one for each.
         edge_rule: how stiffness acts on shared edges.
         run: folder of the run.
-        resume: go on with the run in the folder.
+        resume: continue the run in the folder.
         overwrite: replace the run in the folder.
-        logger: also write every number with one of TorchRL's loggers; csv and tensorboard write into the run.
+        logger: also write every number with one of TorchRL's loggers; csv and tensorboard write into the run's folder.
         num_threads: threads of the simulator; None for all cores. Results do not depend on it.
         ppo: settings of PPO.
     """

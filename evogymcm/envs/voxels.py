@@ -4,8 +4,8 @@ Types of a voxel: the type codes (those of a body's grid) of itself and of its c
 and left; 0 for none. They stay the same in an episode.
 
 Features, in order: the positions of its corners relative to the COM (8: x of TL, TR, BL, BR, then y; metres), their
-velocities relative to the COM's (8), its present stiffness, its last actuation, and its place in its own body array (2:
-row and column, from -1 to 1). Cells without a voxel hold zeros.
+velocities relative to the COM's (8), its current stiffness, its last actuation, and its place in its own body array (2:
+row and column, from -1 to 1). Cells without a voxel contain zeros.
 """
 
 import numpy as np

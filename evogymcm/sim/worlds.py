@@ -22,7 +22,7 @@ _CONSTANTS, _FACTORS, _GOALS = range(3)  # of springs
 
 
 class Worlds:
-    """What a `Simulator` knows of its worlds; arguments as there.
+    """The memory of a `Simulator`, with the same arguments.
 
     Raises:
         ValueError: For no worlds, a grid too small, or an unknown edge rule.
@@ -128,7 +128,7 @@ class Worlds:
         return self._scene(world).objects
 
     def object(self, name: str, world: int = 0) -> PlacedObject:
-        """Returns an object of a world; ValueError where it has none of that name."""
+        """Returns an object of a world by name; ValueError if there is none."""
         return self._scene(world).object(name)
 
     def set_robot(self, robot: WorldObject, world: int) -> None:
@@ -225,14 +225,14 @@ class Worlds:
         return [self._offsets.copy(), *rows]
 
     def set_state(self, state: Sequence[np.ndarray], robots: Sequence[WorldObject] | None = None) -> None:
-        """Takes up the state that `state` returned, of a simulator made with the same arguments.
+        """Restores a state from `state`, of a simulator made with the same arguments.
 
         Args:
             state: The state.
-            robots: The robot that each world had; the present ones by default.
+            robots: The robot that each world had; the current ones by default.
 
         Raises:
-            ValueError: It is another simulator's, or of a release that kept states otherwise; then nothing has changed.
+            ValueError: It belongs to another simulator, or to a release with another format; then nothing has changed.
         """
         offsets, *rows = [np.asarray(part, np.float64) for part in state] or [np.zeros(0)]
         fits = offsets.shape == self._offsets.shape and len(rows) == self.n_worlds

@@ -38,8 +38,8 @@ class SearchConfig:
     """Material search, see `MaterialSearch`; the defaults are those of EvoGymCM's reference code.
 
     Attributes:
-        rounds: proposals of each survivor, one after another.
-        candidates: proposals of each survivor in a round, evaluated together.
+        rounds: rounds of proposals, one after another.
+        candidates: proposals for each survivor in a round, evaluated together.
         probability: how likely a voxel is to be changed in a proposal.
         sigma: standard deviation of its noise; with CMA-ES, the initial step in the logarithm of stiffness.
         acceptance: "reference" (gains of 2 % or more) or "paper" (any gain).
@@ -71,9 +71,9 @@ class CodesignConfig:
     Attributes:
         task: id of the task.
         material: "reactive" (policies set stiffness) or "invariant" (stiffness belongs to the design).
-        stiffness: factor of all voxels in the invariant setting; a search begins at 1.
-        search: search of the survivors' stiffness fields, with fine-tuning after it, in the invariant setting; None for
-            none.
+        stiffness: factor of all voxels in the invariant setting; a search starts from 1.
+        search: search of the survivors' stiffness fields, followed by fine-tuning, in the invariant setting; None for
+            no search.
         edge_rule: how stiffness acts on shared edges.
         shape: rows and columns of the bodies.
         method: "ga" (EvoGym's genetic algorithm), "random" search, or "qd" (a quality-diversity archive, extra).
@@ -82,29 +82,29 @@ class CodesignConfig:
         max_env_steps: simulated env-steps of all kinds after which the run ends (with the generation that it is in);
             None for no limit but the budget.
         mutation_rate: probability that a cell of a child is drawn anew.
-        attempts: how often a valid mutant is tried for, before another parent is drawn.
+        attempts: attempts at a valid mutant before another parent is drawn.
         weights: relative frequencies of empty, rigid, soft, horizontal and vertical cells in random bodies and in cells
             drawn anew (EvoGym's by default).
-        mutants: how many of a parent there are for each child, played once under the parent's policy; the best of them
-            is trained. 1 takes the first, as EvoGym does; more need `inherit`, and the genetic algorithm.
+        mutants: mutants of one parent for each child, each played once under the parent's policy; the best is trained.
+            1 takes the first, as EvoGym does; more need `inherit` and the genetic algorithm.
         inherit: whether a child starts from its parent's policy instead of a fresh one; needs a method that has
             parents, and policies that are not shared, since one policy cannot start from several.
         inherit_std: standard deviation with which an inherited policy explores at first, in half ranges of the action;
-            None for its own, which its parent's training has lowered.
+            None for that of its parent, which training has lowered.
         rungs: shares of the training budget at which bodies are compared (successive halving); none by default.
-        keep: share of the bodies that go on after each rung.
+        keep: share of the bodies that continue after each rung.
         age_protection: generations in which new bodies are protected, see `GeneticAlgorithm`.
-        finetune_steps: env-steps of each survivor's fine-tuning after a search; None for 1 % of the training.
-        eval_starts: starts that differ by a hair from which a design is scored, see `evaluate`.
+        finetune_steps: env-steps of fine-tuning for each survivor after a search; None for 1 % of its training.
+        eval_starts: number of starts, a hair apart, from which a design is scored, see `evaluate`.
         selection: what fitness is: the score from the exact start, or the "robust" one, the mean over several starts.
-            Which policy of a training is the best one, `ppo` says.
-        ppo: inner loop of one body. `sharing` says whether the bodies of a generation have policies of their own
-            ("independent") or one; its seeds and schedules are those of the run, and not set here.
-        seed: where all draws come from: bodies, mutations, weights and exploration.
+            `ppo` says which policy of a training is the best one.
+        ppo: settings of the inner loop for one body. `sharing` says whether the bodies of a generation have policies of
+            their own ("independent") or share one; seeds and schedules come from the run and are not set here.
+        seed: seed of all random draws: bodies, mutations, weights and exploration.
         num_threads: threads of the simulator; None for all cores.
 
     Raises:
-        ValueError: A value is of the wrong kind or out of range, or values do not go together.
+        ValueError: A value is of the wrong kind or out of range, or values contradict each other.
     """
 
     task: str = "Walker-v0"

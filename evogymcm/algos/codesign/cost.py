@@ -20,7 +20,7 @@ class Cost:
         scoring: env-steps of evaluations of all kinds.
         screening: env-steps of mutants, of which few are trained.
         search: env-steps under stiffness fields that are tried.
-        finetuning: env-steps in which survivors learn on.
+        finetuning: env-steps in which survivors are trained further.
     """
 
     training: int = 0
@@ -36,7 +36,7 @@ class Cost:
 
 
 def cost_of(config: CodesignConfig) -> Cost:
-    """Returns what a run takes where no episode ends before its time limit and no max_env_steps ends the run.
+    """Returns the cost of a run whose episodes all last to the time limit and which `max_env_steps` does not end.
 
     Raises:
         ValueError: There is no such task.

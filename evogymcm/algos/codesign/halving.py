@@ -11,11 +11,11 @@ __all__ = ["HalvingSchedule"]
 
 @dataclass(frozen=True)
 class HalvingSchedule:
-    """Successive halving (Jamieson and Talwalkar, 2016): all bodies train a little, the better ones go on.
+    """Successive halving (Jamieson and Talwalkar, 2016): all bodies train a little, the better ones continue.
 
     Attributes:
         rungs: shares of the full budget of training after which bodies are compared, rising, each between 0 and 1.
-        keep: share of the bodies compared at each rung that go on, each above 0 and at most 1.
+        keep: share of the bodies that continue after each rung, each above 0 and at most 1.
 
     Raises:
         ValueError: The rungs do not rise within 0 to 1, or there is not one share in (0, 1] for each.
@@ -34,7 +34,7 @@ class HalvingSchedule:
             raise ValueError(f"keep: got {self.keep}, expected {len(self.rungs)} shares, above 0 and at most 1")
 
     def count(self, rung: int, n_bodies: int) -> int:
-        """Returns how many of `n_bodies` go on after a rung: the share kept, rounded up."""
+        """Returns how many of `n_bodies` continue after a rung: the share kept, rounded up."""
         return ceil(round(self.keep[rung] * n_bodies, 9))  # rounded before: 0.07 * 100 is above 7 in floats
 
     def cost(self, n_bodies: int) -> float:

@@ -1,4 +1,4 @@
-"""What co-design asks of the inner loop: training a generation's designs together.
+"""The inner loop of co-design: training a generation's designs together.
 
 A policy is a mapping as `train` saves it, of one design: its form, and the weights of actor and critic.
 """
@@ -34,13 +34,13 @@ def holding(make_env: MakeEnv, designs: Sequence[Design]) -> partial[SoftRobotEn
 
 @dataclass(frozen=True)
 class Trained:
-    """What came of training designs together.
+    """The outcome of training designs together.
 
     Attributes:
         best: each design's best policy.
         last: each design's last policy.
-        scores: (D,) of the best policies, as they were in training; robust ones where that was the selection.
-        env_steps: simulated, evaluations included.
+        scores: (D,) scores of the best policies during training; robust ones where that was the selection.
+        env_steps: env-steps simulated, including evaluations.
         finished: False if it was stopped.
     """
 
@@ -67,7 +67,7 @@ def train_designs(
         make_env: makes environments of given bodies, such as `partial(SoftRobotEnv, "Walker-v0", material="reactive")`.
         designs: D designs.
         ppo: settings for one design. With `sharing="independent"` each has its own policy, with "shared" all have one.
-        run: where to keep what a stopped training goes on from.
+        run: folder from which a stopped training can be resumed.
         initial: a policy for each design to start from, the same for all where they share one; None for fresh ones.
         progress: see `train`.
         should_stop: see `train`.

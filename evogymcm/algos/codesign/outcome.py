@@ -1,4 +1,4 @@
-"""What a run of co-design tells on its way and at its end."""
+"""The progress of a co-design run, and its outcome."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -11,12 +11,12 @@ __all__ = ["CodesignProgress", "CodesignResult"]
 
 @dataclass(frozen=True)
 class CodesignProgress:
-    """State of a run, told after every update of a policy and every round of a search.
+    """State of a run, reported after every update of a policy and every round of a search.
 
     Attributes:
         generation: counted from 0.
         phase: "screen", "train", "search" or "finetune".
-        env_steps: simulated so far, of all kinds.
+        env_steps: env-steps simulated so far, of all kinds.
         n_designs: bodies proposed so far.
         best: the best fitness so far, None before there is one.
     """
@@ -33,10 +33,10 @@ class CodesignResult:
     """Outcome of a run.
 
     Attributes:
-        best: the best individual; None where the run was stopped before there was one.
+        best: the best individual; None if the run was stopped before there was one.
         policy: its policy.
         rows: the table, see `Codesign`.
-        env_steps: simulated in all.
+        env_steps: env-steps simulated in all.
         finished: False if it was stopped.
     """
 

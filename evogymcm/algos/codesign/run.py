@@ -26,8 +26,8 @@ _SCREENED = 8  # mutants of a child that are played at a time, between looks whe
 class Codesign:
     """One co-design run, advanced phase by phase.
 
-    Fitness is the score of the stored policy in a world by itself (`score_alone`), or its robust score, so that it can
-    be had again to the last bit. The table gets a row whenever an individual is trained, searched or fine-tuned: the
+    Fitness is the score of the stored policy in a world by itself (`score_alone`), or its robust score, so it is
+    reproducible to the last bit. The table gets a row whenever an individual is trained, searched or fine-tuned: the
     individual's record, the event, its fitness and return (and with several starts its score, robust score and spread),
     the env-steps of all kinds so far, and the best fitness so far.
 
@@ -68,7 +68,7 @@ class Codesign:
         progress: Callable[[CodesignProgress], None] | None = None,
         should_stop: Callable[[], bool] | None = None,
     ) -> bool:
-        """Does the next phase; returns False where it was stopped on the way, to be gone on with later."""
+        """Runs the next phase; returns False if it was stopped on the way, to be resumed later."""
         self._tell, self._is_stopped = progress or self._tell, should_stop or self._is_stopped
         work = {
             "screen": self._screen,

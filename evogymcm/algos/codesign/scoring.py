@@ -23,7 +23,7 @@ __all__ = ["Scores", "score_alone", "score_proposals", "score_together"]
 
 @dataclass(frozen=True)
 class Scores:
-    """What designs are worth under their policies, as means over episodes where resets are random.
+    """Scores of designs under their policies, as means over several episodes if resets are random.
 
     Scores, returns and ceilings are those from the exact start, whatever others there are.
 
@@ -96,8 +96,8 @@ def score_alone(
         make_env: see `train_designs`.
         designs: D designs.
         policies: D policies.
-        seed: where tasks with random resets draw from; those of several episodes count up. The same for all designs.
-        starts: that differ by a hair, from which each episode is played, see `evaluate`.
+        seed: seed of random resets, counted up over several episodes; the same for all designs.
+        starts: number of starts, a hair apart, from which each episode is played, see `evaluate`.
 
     Raises:
         ValueError: There are not as many policies as designs.

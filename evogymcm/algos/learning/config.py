@@ -59,15 +59,15 @@ class PPOConfig:
         reward_scale: factor on rewards within the learner; scores and returns are never scaled.
         hidden: width of the networks; None for their kind's default, 32 ("voxel") or 64 ("mlp").
         network: "voxel" (shared by all voxels of any body) or "mlp" (plain, on the flat observation of one body).
-        context: what a voxel knows of the rest of its body, see `VoxelActor`.
+        context: what a voxel knows about the rest of its body, see `VoxelActor`.
         sharing: "shared" (one set of weights for all designs) or "independent" (a set for each, trained side by side).
         initial_std: exploration at the start: standard deviation in half ranges of the action.
         final_std: the most exploration at the end; the limit falls geometrically from `initial_std`. A policy that has
             only ever acted with much noise may get stuck without it.
         schedule: which part of the schedules of learning rate and exploration the run covers: (0, 1) is all of it.
         noise_correlation: correlation of exploration noise from one env-step to the next. Correlated noise moves a body
-            further than white noise, whose pushes cancel each other (Hollenstein et al., 2024); each step's noise by
-            itself has the policy's distribution, which is all that the likelihood ratios look at.
+            further than white noise, whose pushes cancel each other (Hollenstein et al., 2024); in any single
+            step the noise has the policy's distribution, and the likelihood ratios use nothing else.
         eval_interval: env-steps between evaluations; 0 for only the untrained and the final policy.
         eval_worlds: worlds in an evaluation; None for one of each design, or 8 where the task draws at random.
         eval_starts: starts that differ by a hair from which each of them is played, see `evaluate`.
@@ -76,7 +76,7 @@ class PPOConfig:
         seed: seed of weights, exploration and environments.
         torch_threads: threads of torch while training.
         device: where the networks learn, such as "cuda"; the simulator runs on the CPU. Noise and the order of samples
-            are drawn on the CPU, the same for every device; sums are rounded otherwise.
+            are drawn on the CPU and are the same for every device; sums may be rounded differently.
 
     Raises:
         ValueError: A value is of the wrong kind or out of range.
@@ -147,14 +147,15 @@ class TrainConfig:
 
     Attributes:
         task: Id of the task, or the file of a world to walk in.
-        bodies: Rows of voxels ("HHH/V.V"), names of robots or files, one text a body; they learn side by side. None
-            given: the EvoGymCM paper's robot of the task, or the one in the world's file. `Body` objects and other
-            things that `as_body` takes become texts.
+        bodies: Rows of voxels ("HHH/V.V"), names of robots or files, one text for each body; they learn side by side.
+            By default the EvoGymCM paper's robot for the task, or the robot in the world's file. `Body` objects and
+            anything else that `as_body` takes are turned into texts.
         material: Whether the policy sets stiffness too ("reactive"), or stiffness belongs to the body ("invariant").
-        stiffness: "invariant" only: one number for all, or a field (rows, cols) for each of `bodies`; None is 1.
+        stiffness: invariant setting only: one number for all, or a field (rows, cols) for each of `bodies`; None is 1.
         edge_rule: How stiffness acts on shared edges.
         random_bodies: Rows and columns of random bodies instead of `bodies`: every episode of every world has a fresh
-            one. Evaluations are of `ppo.eval_worlds` bodies (64 by default) that no run trains on, the same in all.
+            one. Evaluations use `ppo.eval_worlds` bodies (64 by default) that no run trains on, the same ones in all
+            runs.
         ppo: Settings of PPO.
 
     Raises:
@@ -196,7 +197,7 @@ class TrainConfig:
             raise ValueError("stiffness: random bodies take one number for all")
 
     def resolved(self) -> "TrainConfig":
-        """Returns the same settings with the task's own robot named, and bodies that lie in files written as rows.
+        """Returns the settings with the task's own robot named, and with bodies from files written as rows.
 
         Raises:
             ValueError: A file cannot be read.
@@ -206,9 +207,9 @@ class TrainConfig:
         return replace(self, bodies=tuple(map(written_out, self.bodies or (default_body(self.task),))))
 
     def designs(self) -> tuple[list[Body], list[np.ndarray] | None]:
-        """Returns the bodies, and a stiffness field for each; None instead of fields where there are none.
+        """Returns the bodies and a stiffness field for each, or None instead of the fields.
 
-        Of random bodies it is those of evaluations.
+        With random bodies, it returns those of evaluations.
 
         Raises:
             ValueError: A body is not valid, or a field does not fit its body.

@@ -24,14 +24,14 @@ class Evaluation:
     """First episode of every world, from the exact start; all arrays but `starts` are (N,).
 
     Attributes:
-        score: sum of the rewards of all env-steps but the episode's last one, as the EvoGymCM paper counts.
+        score: sum of the rewards without that of the last env-step, as in the EvoGymCM paper.
         returns: sum of all rewards, with goal bonuses and penalties.
         length: env-steps of the episode.
         goal: whether it ended at a goal of the task.
         unstable: whether the simulation became unstable.
-        ceiling: largest possible score where the task has one, NaN where it has none.
-        env_steps: simulated in all, from all starts: a world that waits for the others is not simulated.
-        starts: (K, N) scores from K starts that differ by a hair, see `evaluate`; the first row is `score`.
+        ceiling: largest possible score, NaN for tasks without one.
+        env_steps: env-steps simulated in all, from all starts; worlds that wait for others are not simulated.
+        starts: (K, N) scores from K starts, a hair apart, see `evaluate`; the first row is `score`.
     """
 
     score: NDArray[np.float64]
@@ -62,7 +62,7 @@ class Evaluation:
         return self.score / self.ceiling
 
     def summary(self) -> dict[str, float]:
-        """Returns the means over worlds, for a table; those of goal, ceiling and starts only where there are some."""
+        """Returns the means over worlds, ready for a table; goal, ceiling and starts only if there are any."""
         row = {
             "score": float(self.score.mean()),
             "return": float(self.returns.mean()),
@@ -99,8 +99,8 @@ def mean_of_rows(rows: NDArray[np.float64]) -> NDArray[np.float64]:
 def evaluate(policy: "TensorDictModuleBase | Gait", env: object, starts: int = 1, *, start_seed: int = 0) -> Evaluation:
     """Plays one episode in every world with deterministic actions and returns the outcome, see `play`.
 
-    Give it a freshly made environment: a reset restores the initial state, but the worlds' own random generators go on
-    from where they were.
+    Use a freshly made environment: a reset restores the initial state, but the random generators of the worlds continue
+    where they were.
 
     An episode is one trajectory, and contact makes much of little. With K `starts`, the environment's worlds are N
     worlds K times over, from starts that differ by a hair (`TaskEngine.set_starts`). `score` and all else but

@@ -1,4 +1,4 @@
-"""What a training run tells while it goes on, and what comes of it."""
+"""The progress of a training run, and its outcome."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -17,8 +17,8 @@ class Progress:
     Attributes:
         env_steps: env-steps done so far, in all worlds together.
         total_steps: env-steps of the whole run.
-        seconds: wall time so far, earlier sittings of a resumed run included.
-        row: newest row of the table: losses, mean reward, and scores where there was an evaluation.
+        seconds: wall time so far, including the time before a run was resumed.
+        row: latest row of the table: losses, mean reward, and scores if there was an evaluation.
     """
 
     env_steps: int
@@ -41,7 +41,7 @@ class TrainResult:
         seconds: wall time of training and evaluations.
         finished: False if the run was stopped before its end.
         best: the policy of the best evaluation, as it is saved, with its `score` in each world of that evaluation, and
-            its `robust` score where that was the selection; of independent policies each one's best.
+            its `robust` score where that was the selection; with independent policies the best of each.
         policy: the last policy, as it is saved.
     """
 

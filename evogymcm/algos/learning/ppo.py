@@ -27,16 +27,16 @@ _LOGGED = {
 
 
 class PPOLearner:
-    """Improves an actor and a critic from rollouts; never sees an environment.
+    """Improves an actor and a critic from rollouts, without an environment.
 
     Stacked networks (with `copies`) learn side by side, each from its own designs' worlds: advantages are normalised
-    and gradients clipped for each by itself. Only the KL guard looks at all of them together.
+    and gradients clipped for each separately. Only the limit on the KL divergence applies to all together.
 
     Args:
         actor: the policy, changed in place.
         critic: the state value, changed in place.
         config: settings of the run.
-        generator: of the order of samples; torch's global one by default.
+        generator: random generator for the order of samples; torch's global one by default.
     """
 
     def __init__(

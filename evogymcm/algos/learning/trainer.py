@@ -45,21 +45,22 @@ def _copies(config: PPOConfig, env: EnvBase) -> int | None:
 
 
 class Trainer:
-    """One training run in any `TrainingEnv`: the whole of it (`train`), or update by update.
+    """One training run in any `TrainingEnv`, as a whole (`train`) or update by update.
 
     As a context manager it closes its environment at the end.
 
-    The run draws from a generator of its own, and what torch and TorchRL keep for the whole process is left as it was:
-    runs may go side by side in threads, each as if it were alone.
+    The run has a random generator of its own and leaves the global state of torch and TorchRL alone, so several runs
+    can go on side by side in threads, each as if it were alone.
 
     Args:
         make_env: makes the training environment and a fresh one for each evaluation. Their seeds, made from the run's,
             differ.
         config: settings of the run.
-        make_eval_env: makes those of evaluations, where they are others: bodies that training never sees, say.
+        make_eval_env: makes the environments of evaluations if they differ, for example with bodies that training never
+            sees.
 
     Raises:
-        ValueError: Settings do not go together, or this machine has no such device.
+        ValueError: Settings contradict each other, or this machine has no such device.
     """
 
     def __init__(self, make_env: EnvFactory, config: PPOConfig, make_eval_env: EnvFactory | None = None) -> None:
@@ -130,7 +131,7 @@ class Trainer:
         initial: Mapping[str, Any] | None = None,
         logger: Logger | None = None,
     ) -> TrainResult:
-        """Does the whole run, or the rest of the folder's, closes the environment and returns the outcome.
+        """Trains to the end, from the folder's checkpoint if any, closes the environment and returns the outcome.
 
         The arguments are those of the function `train`, which also writes the run's record.
 
@@ -174,7 +175,7 @@ class Trainer:
         self.critic.observe(sample)
 
     def evaluate(self) -> Evaluation:
-        """Plays an episode in each world of a fresh environment, from each start, with the present policy."""
+        """Plays an episode in each world of a fresh environment, from each start, with the current policy."""
         start = time.perf_counter()
         starts = self.config.eval_starts
         env = self._moved(self.make_eval_env(num_worlds=starts * self._eval_worlds, seed=self._eval_seed))
@@ -188,14 +189,14 @@ class Trainer:
         return result
 
     def policy_state(self) -> dict[str, Any]:
-        """Returns the policy as it is saved: what makes the actor (`load_actor`), and what training goes on from."""
+        """Returns the policy as it is saved: for the actor (`load_actor`), and to continue training from."""
         return {"form": self.actor.form, **self.learner.state_dict()}
 
     def take_best(self, evaluation: Evaluation) -> bool:
-        """Keeps the present policy in `best` where it is the best so far, by `selection`; returns whether it is.
+        """Keeps the current policy in `best` if it is the best so far, by `selection`; returns whether it is.
 
-        A shared policy is judged by its mean over worlds. Independent ones are compared each with itself: `best` then
-        holds policies of different moments.
+        A shared policy is judged by its mean over worlds. Independent ones are judged one by one: `best`
+        may then hold policies from different moments.
         """
         state, by, copies = self.policy_state(), self.config.selection, self.actor.copies
         scores = {name: torch.from_numpy(getattr(evaluation, name)) for name in ("score", by)}
@@ -216,7 +217,7 @@ class Trainer:
         return True
 
     def start_from(self, policy: Mapping[str, Any]) -> None:
-        """Takes up a saved policy's weights (see `train`) instead of fresh ones."""
+        """Starts from a saved policy's weights (see `train`) instead of fresh ones."""
         copies, given = self.actor.copies, policy["form"]["copies"]
         for name, network in (("actor", self.actor), ("critic", self.critic)):
             weights = policy[name]
@@ -228,7 +229,7 @@ class Trainer:
         self._is_fresh = False
 
     def state_dict(self) -> dict[str, Any]:
-        """Returns all that is needed to go on: networks, optimiser, random state, live worlds, counters."""
+        """Returns all that is needed to resume: networks, optimiser, random state, live worlds, counters."""
         return {
             "learner": self.learner.state_dict(),
             "worlds": self.collector.state_dict(),
@@ -252,7 +253,7 @@ class Trainer:
     def close(self) -> None:
         """Closes the environment, with its threads; the networks are then on the CPU, like environments by default.
 
-        The actor's noise is handed over to torch's global generator.
+        From then on the actor takes its noise from torch's global generator.
         """
         if not self._is_open:
             return
