@@ -42,7 +42,7 @@ class Design:
 
     @property
     def key(self) -> str:
-        """The codes of the body as digits, row-major. As in EvoGym, stiffness does not count."""
+        """The body's codes as digits, row-major; equal keys are equal bodies, whatever the stiffness, as in EvoGym."""
         return "".join(str(code) for code in self.body.grid.ravel())
 
     def at(self, stiffness: float) -> "Design":
