@@ -9,7 +9,6 @@ from typing import Any, Unpack
 
 import numpy as np
 
-from evogymcm._settings import check_count
 from evogymcm.body import Body
 from evogymcm.envs import checks
 from evogymcm.envs.actions import checked_action
@@ -18,7 +17,7 @@ from evogymcm.envs.episodes import Episodes
 from evogymcm.envs.lineup import Lineup
 from evogymcm.envs.observed import Observed
 from evogymcm.envs.options import EngineOptions, as_physics, complete, lists_options
-from evogymcm.envs.starts import Starts
+from evogymcm.envs.starts import Starts, checked_part_of
 from evogymcm.envs.states import checked_arrays, checked_part
 from evogymcm.envs.streams import BodySource, BodyStream, pack_bodies
 from evogymcm.envs.task import Task
@@ -215,16 +214,9 @@ class TaskEngine(Observed, Episodes):
         Raises:
             ValueError: The worlds are no such repetition, or get their bodies from a stream.
         """
-        n, rest = divmod(self.num_worlds, check_count("starts", starts))
-        if starts > 1 and self._stream is not None:
-            raise ValueError(f"starts: got {starts}, under a stream of bodies no two worlds are the same (1)")
-        if starts > 1 and (rest or n % self.num_designs):
-            raise ValueError(
-                f"starts: got {starts}, which does not share {self.num_worlds} worlds into equal parts, "
-                f"each with all of {self.num_designs} designs equally often"
-            )
+        n = checked_part_of(starts, self.num_worlds, self.num_designs, is_stream=self._stream is not None)
         self._starts = Starts(np.arange(self.num_worlds) // n, seed) if starts > 1 else None
-        for world in range(n, self.num_worlds) if starts > 1 else ():
+        for world in range(n, self.num_worlds):
             self._rngs[world] = copy.deepcopy(self._rngs[world % n])
 
     def state(self) -> dict[str, Any]:

@@ -4,9 +4,10 @@ from collections.abc import Iterable
 
 import numpy as np
 
+from evogymcm._settings import check_count
 from evogymcm.sim.simulator import Simulator
 
-__all__ = ["START_NOISE", "Starts"]
+__all__ = ["START_NOISE", "Starts", "checked_part_of"]
 
 START_NOISE = 1e-6  # metres
 
@@ -32,3 +33,20 @@ class Starts:
                 rng = np.random.default_rng(np.random.SeedSequence(self._seed, spawn_key=(start,)))
                 robot = simulator.objects(world)[0]
                 simulator.move(robot.name, START_NOISE * rng.standard_normal((len(robot.places), 2)), world)
+
+
+def checked_part_of(starts: int, num_worlds: int, num_designs: int, *, is_stream: bool) -> int:
+    """Returns how many worlds each start has.
+
+    Raises:
+        ValueError: The worlds are not the same ones as many times over.
+    """
+    part, rest = divmod(num_worlds, check_count("starts", starts))
+    if starts > 1 and is_stream:
+        raise ValueError(f"starts: got {starts}, under a stream of bodies no two worlds are the same (1)")
+    if starts > 1 and (rest or part % num_designs):
+        raise ValueError(
+            f"starts: got {starts}, which does not share {num_worlds} worlds into equal parts, "
+            f"each with all of {num_designs} designs equally often"
+        )
+    return part

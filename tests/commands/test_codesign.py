@@ -75,6 +75,14 @@ def test_a_stopped_run_goes_on_to_the_same_result(sprint, capsys, monkeypatch, t
     assert whole == parts
 
 
+def test_the_robust_score_is_told_where_there_are_several_starts(sprint, capsys, tmp_path):
+    assert main(["codesign", sprint, *TINY, "--run", "run", "--eval-starts", "2", "--selection", "robust"]) == 0
+    best = json.loads((tmp_path / "run" / "result.json").read_text())["best"]
+    assert best["fitness"] == best["robust_score"]
+    told = f"robust  {best['robust_score']:.3f} ± {best['spread']:.3f}: the score from 2 starts that differ by a hair"
+    assert told in capsys.readouterr().out
+
+
 def test_a_limit_in_env_steps_ends_the_run(sprint, capsys, tmp_path):
     assert main(["codesign", sprint, *TINY, "--max-env-steps", "10", "--run", "run"]) == 0
     assert "ends with the generation in which 10 env-steps are reached" in capsys.readouterr().out

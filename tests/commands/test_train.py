@@ -65,6 +65,16 @@ def test_random_bodies_of_one_stiffness_learn_and_others_are_scored(sprint, caps
     assert number(out, "score") == pytest.approx(result["final"]["score"], abs=6e-4)
 
 
+def test_the_robust_score_is_told_where_there_are_several_starts(sprint, capsys):
+    assert main(["train", sprint, "--body", BODY, *TINY, "--eval-starts", "2", "--selection", "robust"]) == 0
+    final = json.loads(Path("runs/Sprint-v0-reactive-seed0/result.json").read_text())["final"]
+    out = capsys.readouterr().out
+    assert number(out, "robust") == pytest.approx(final["robust_score"], abs=6e-4)
+    assert f"± {final['spread']:.3f}: the score from 2 starts" in out
+    assert final["spread"] > 0
+    assert "needs eval_starts" in refused(capsys, "train", sprint, "--body", BODY, *TINY, "--selection", "robust")
+
+
 def test_an_existing_run_is_refused_resumed_or_replaced(sprint, capsys, tmp_path):
     command = ["train", sprint, "--body", BODY, *TINY, "--run", "first"]
     assert main(command) == 0

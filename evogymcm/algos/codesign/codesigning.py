@@ -8,6 +8,7 @@ import os
 from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import asdict, replace
+from typing import Any
 
 from evogymcm.algos.codesign.config import CodesignConfig
 from evogymcm.algos.codesign.outcome import CodesignProgress, CodesignResult
@@ -61,7 +62,7 @@ def codesign(
             finished=result.finished,
             env_steps=result.env_steps,
             curve=best_curve(result.rows),
-            best=None if result.best is None else result.best.record(),
+            best=_best(result),
             n_designs=len({row["index"] for row in result.rows}),
         ).write(run)
     return result
@@ -80,6 +81,14 @@ def _to_the_end(
     best = state.ledger.champion
     policy = None if best is None else state.ledger.policy(best.index)
     return CodesignResult(best, policy, state.ledger.rows, state.env_steps, state.is_finished)
+
+
+def _best(result: CodesignResult) -> dict[str, Any] | None:
+    """Returns the best individual's record, with its scores from several starts where there are such."""
+    if result.best is None:
+        return None
+    row = next(row for row in reversed(result.rows) if row["index"] == result.best.index)
+    return result.best.record() | {name: row[name] for name in ("score", "robust_score", "spread") if name in row}
 
 
 def _record(config: CodesignConfig) -> RunRecord:

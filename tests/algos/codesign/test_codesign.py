@@ -20,6 +20,8 @@ from evogymcm.algos.codesign import (
     score_alone,
     train_designs,
 )
+from evogymcm.algos.codesign.design import Individual
+from evogymcm.algos.codesign.ledger import Ledger
 from evogymcm.algos.codesign.scoring import score_together
 from evogymcm.algos.codesign.start import env_maker
 from evogymcm.envs import SoftRobotEnv, Task
@@ -284,6 +286,16 @@ def test_fitness_is_what_the_selection_says_from_as_many_starts_as_the_settings(
     assert (one.robust[0], one.spread[0]) == (again.robust[1], again.spread[1])
     record = RunRecord.read(run.path)
     assert record.best["robust_score"] == last[result.best.index]["robust_score"]
+
+
+def test_a_table_that_is_taken_up_again_goes_on_with_what_it_told(tmp_path):
+    run, one = RunFolder(tmp_path / "run", {}), Individual(0, Design(cm.Body("HVH/S.R")), fitness=1.5)
+    ledger, again = Ledger(run), Ledger(run)
+    scores = {"return": 3.0, "score": 2.0, "robust_score": 1.5, "spread": 0.25}
+    ledger.add("train", one, 0, 10, scores)
+    again.load_state_dict(ledger.state_dict())
+    again.add("search", one, 0, 20, None)
+    assert scores.items() <= run.rows()[-1].items()
 
 
 def test_a_run_of_before_there_were_several_starts_is_gone_on_with(tmp_path):
