@@ -33,7 +33,8 @@ Ctrl-C stops at the end of the present update; --resume goes on from there.
 
 examples:
   evogymcm train Walker-v0 --body Walk_Bot --total-steps 200000
-  evogymcm train Walker-v0 --body HHH/V.V --material invariant --stiffness 2,2,2/0.5,1,0.5
+  evogymcm train Walker-v0 --body HHH/V.V --stiffness 2,2,2/0.5,1,0.5
+  evogymcm train Walker-v0 --body HHH/V.V --material reactive
   evogymcm train --world terrain.json --body robot.npz
   evogymcm train Walker-v0 --body Walk_Bot --run runs/first --logger csv
   evogymcm train Walker-v0 --body Walk_Bot --run runs/first --logger csv --resume"""
@@ -49,8 +50,8 @@ class Options:
         body: rows of voxels (HHH/S.R), a robot's name or a file (.npz, .npy, .txt, .json); several learn side by
             side.
         material: whether the policy sets stiffness too ("reactive"), or stiffness belongs to the body.
-        stiffness: with --material invariant, a number, or numbers in rows like the body's (2,2,2/0.5,1,0.5); one
-            for all bodies or one for each.
+        stiffness: invariant only: a number, or numbers in rows like the body's (2,2,2/0.5,1,0.5); one for all bodies
+            or one for each.
         edge_rule: how stiffness acts on shared edges.
         run: folder of the run.
         resume: go on with the run in the folder.
@@ -63,7 +64,7 @@ class Options:
     task: Annotated[tyro.conf.Positional[str], arg(metavar="TASK", help_behavior_hint="(or --world)")] = ""
     world: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
     body: Annotated[tuple[str, ...], arg(metavar="BODY", help_behavior_hint="(default: the task's own robot)")] = ()
-    material: Material = "reactive"
+    material: Material = "invariant"
     stiffness: Annotated[tuple[str, ...], arg(metavar="FIELD", help_behavior_hint="(default: 1)")] = ()
     edge_rule: EdgeRule = "mean_factor"
     run: Annotated[Path | None, arg(metavar="FOLDER", help_behavior_hint="(default: runs/TASK-MATERIAL-seedSEED)")] = (

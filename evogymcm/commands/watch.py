@@ -26,7 +26,7 @@ DESCRIPTION = """Shows an episode, in a window or as a video, and prints the sco
 
 examples:
   evogymcm watch Walker-v0 --body Walk_Bot
-  evogymcm watch Walker-v0 --body HHH/V.V --material invariant --stiffness 2,2,2/0.5,1,0.5 --view stiffness
+  evogymcm watch Walker-v0 --body HHH/V.V --stiffness 2,2,2/0.5,1,0.5 --view stiffness
   evogymcm watch --world terrain.json --body robot.npz
   evogymcm watch --policy runs/first --out walk.mp4
   evogymcm watch BridgeWalker-v0 --policy runs/first --body HHH/V.V HHHH/V..V    # also what it has never seen"""
@@ -58,7 +58,7 @@ class Options:
     body: Annotated[
         tuple[str, ...], arg(metavar="BODY", help_behavior_hint="(default: the policy's, or the task's own robot)")
     ] = ()
-    material: Annotated[Material | None, arg(help_behavior_hint="(default: the policy's, or reactive)")] = None
+    material: Annotated[Material | None, arg(help_behavior_hint="(default: the policy's, or invariant)")] = None
     stiffness: Annotated[
         tuple[str, ...], arg(metavar="FIELD", help_behavior_hint="(default: the policy's for its own bodies, or 1)")
     ] = ()
@@ -102,7 +102,7 @@ def _worlds(options: Options) -> "tuple[TaskEngine | SoftRobotEnv, TensorDictMod
     if options.policy is None:
         task = choose_task(options.task, options.world)
         shown = [as_body(body) for body in options.body or [default_body(task)]]
-        fields, material = read_stiffness(options.stiffness, shown), options.material or "reactive"
+        fields, material = read_stiffness(options.stiffness, shown), options.material or "invariant"
         return TaskEngine(task, shown, material=material, stiffness=fields, with_voxels=False), sine_gait
     from evogymcm.algos.runs import load_policy
 

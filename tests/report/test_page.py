@@ -176,7 +176,7 @@ def test_policies_that_cannot_be_shown_are_named(training, tmp_path):
 
 def test_a_run_of_the_command_line_is_shown(tmp_path, capsys):
     options = "--total-steps 32 --num-worlds 4 --rollout-steps 8 --minibatch 16 --hidden 8 --epochs 1 --eval-worlds 1"
-    body = ["--body", "HVH/S.R", "--material", "invariant", "--stiffness", "2,1,2/0.5,1,0.5"]
+    body = ["--body", "HVH/S.R", "--stiffness", "2,1,2/0.5,1,0.5"]
     main(["train", "Dart-v0", *body, "--run", str(tmp_path / "run"), *options.split()])
     main(["report", str(tmp_path / "run"), "--out", str(tmp_path / "report.html")])
     assert "report.html" in capsys.readouterr().out
