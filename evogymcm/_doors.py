@@ -4,8 +4,6 @@ from collections.abc import Callable, Mapping, Sequence
 from importlib import import_module
 from typing import Any
 
-__all__ = ["door"]
-
 
 def door(
     package: str, modules: Mapping[str, Sequence[str]]

@@ -9,18 +9,6 @@ from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 
-__all__ = [
-    "EdgeRule",
-    "Material",
-    "check_choice",
-    "check_count",
-    "check_fields",
-    "check_flag",
-    "check_number",
-    "check_numbers",
-    "check_pair",
-]
-
 # What several settings allow, for type checkers, the command line and the checks alike.
 Material = Literal["invariant", "reactive"]
 EdgeRule = Literal["mean_factor", "mean_stiffness"]

@@ -3,8 +3,6 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-__all__ = ["UsageError", "checking_arguments"]
-
 
 class UsageError(Exception):
     """An argument cannot be used, or the optional package that it asks for is missing."""

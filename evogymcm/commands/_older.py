@@ -5,8 +5,6 @@ from collections.abc import Sequence
 
 from evogymcm.algos.runs.older import of_arm
 
-__all__ = ["in_present_words"]
-
 
 def in_present_words(arguments: Sequence[str]) -> list[str]:
     """Returns arguments of `codesign` with `--arm` and `--prescribed` as they are written today, and says so on stderr.

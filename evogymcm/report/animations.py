@@ -12,8 +12,6 @@ from evogymcm.algos.runs.record import KINDS, Row, RunRecord
 from evogymcm.report.sources import Arm
 from evogymcm.report.tables import tasks_of
 
-__all__ = ["Scene", "animate", "choose_scenes", "gif_uri"]
-
 MOST, LARGEST = 4, 400_000  # animations; bytes of a GIF
 STEPS, EVERY = 250, 4  # env-steps that are shown, and of which every fourth is drawn
 WIDTH, HEIGHT = 360, 200

@@ -13,8 +13,6 @@ from evogymcm.report.pictures import average_field, body_svg, stiffness_ramp, st
 from evogymcm.report.sources import Arm
 from evogymcm.report.tables import tasks_of
 
-__all__ = ["design_sections"]
-
 _AVERAGED = 5  # best designs of each run in an average
 
 

@@ -9,8 +9,6 @@ from evogymcm.report.sources import Arm
 if TYPE_CHECKING:
     import plotly.graph_objects as go
 
-__all__ = ["codesign_curves", "fitness_by_generation", "learning_curves", "load_plotly", "new_figure"]
-
 _BAND, _SEED = 0.16, 0.35  # opacities
 _INK = "#191c21"
 

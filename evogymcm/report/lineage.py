@@ -7,8 +7,6 @@ from evogymcm.algos.runs.record import Row, RunRecord
 from evogymcm.body import Body
 from evogymcm.report.pictures import body_shapes
 
-__all__ = ["ancestors", "lineage_svg", "shown_by_generation"]
-
 MOST = 8  # bodies shown of a generation, ancestors of the best besides
 _ACROSS, _DOWN, _SIZE, _LEFT = 78, 104, 46, 92  # pixels: pitch, size of a picture, room for the generation's number
 _PLAIN, _LINE = "#b4bac2", "#c0392b"

@@ -13,8 +13,6 @@ from evogymcm.report.parts import Figure, Fold, Note, Part, Picture, Pictures, S
 from evogymcm.report.signals import signal_parts
 from evogymcm.report.sources import Arm, Source, make_arms, read_sources
 
-__all__ = ["make_report", "write_report"]
-
 
 def write_report(
     runs: Sequence[str | Path], out: str | Path, *, overwrite: bool = False, animations: bool = True

@@ -9,8 +9,6 @@ from numpy.typing import NDArray
 from evogymcm.body import EMPTY, H_ACT, RIGID, SOFT, STIFFNESS_HIGH, STIFFNESS_LOW, V_ACT, Body
 from evogymcm.envs.render import palette
 
-__all__ = ["average_field", "body_shapes", "body_svg", "cells_svg", "ramp_svg", "stiffness_svg", "types_svg"]
-
 Field = NDArray[np.float64]
 Colours = Callable[[Field], NDArray[np.int64]]
 

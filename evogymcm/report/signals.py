@@ -13,8 +13,6 @@ from evogymcm.report.pictures import cells_svg, ramp_svg, stiffness_ramp, stiffn
 if TYPE_CHECKING:
     import plotly.graph_objects as go
 
-__all__ = ["signal_parts"]
-
 _ACTUATION, _STIFFNESS, _CONTACT = "#0072b2", "#d55e00", "#6b727c"
 _SHOWN = 200  # env-steps of the time series
 

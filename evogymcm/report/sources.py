@@ -10,8 +10,6 @@ from typing import Any
 from evogymcm.algos.runs.folder import TABLE, RunFiles
 from evogymcm.algos.runs.record import Kind, Row, RunRecord
 
-__all__ = ["Arm", "Source", "make_arms", "read_source", "read_sources"]
-
 Groups = dict[tuple[str, str], list[tuple["Source", RunRecord]]]  # by arm and settings
 
 _COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#7f7f7f", "#000000")  # Okabe and Ito

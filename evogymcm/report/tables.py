@@ -8,8 +8,6 @@ from evogymcm.algos.runs.record import NOT_RECORDED, Kind, RunRecord
 from evogymcm.report.parts import Table
 from evogymcm.report.sources import Arm, Source
 
-__all__ = ["codesign_scores", "source_table", "tasks_of", "training_scores"]
-
 
 def tasks_of(arms: Iterable[Arm], kind: Kind) -> list[str]:
     """Returns the tasks of all runs of a kind, in the order of their first run."""

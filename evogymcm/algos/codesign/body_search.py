@@ -13,8 +13,6 @@ from evogymcm._settings import check_count, check_number, check_pair
 from evogymcm.algos.codesign.design import Design, Individual, mutate_design
 from evogymcm.body import H_ACT, SAMPLE_WEIGHTS, V_ACT, check_weights, sample_body
 
-__all__ = ["BodySearchOptions", "DesignSearch", "check_budget", "check_settings"]
-
 Draw = Callable[[], tuple[Design | None, int | None]]  # gives a design, None where that failed, and its parent
 _MAX_FAILURES = 10_000  # draws in a row without a new body, before the bodies of a shape count as used up
 

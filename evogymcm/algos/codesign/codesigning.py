@@ -17,8 +17,6 @@ from evogymcm.algos.runs.folder import RunFolder, stop_on_interrupt
 from evogymcm.algos.runs.origin import find_origin
 from evogymcm.algos.runs.record import RunRecord, best_curve
 
-__all__ = ["codesign"]
-
 
 def codesign(
     config: CodesignConfig,

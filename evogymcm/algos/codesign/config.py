@@ -14,8 +14,6 @@ from evogymcm.algos.codesign.halving import HalvingSchedule
 from evogymcm.algos.runs.older import of_arm
 from evogymcm.body import SAMPLE_WEIGHTS, STIFFNESS_HIGH, STIFFNESS_LOW, check_weights
 
-__all__ = ["CodesignConfig", "SearchConfig"]
-
 Method = Literal["ga", "random", "qd"]
 Acceptance = Literal["reference", "paper"]
 Noise = Literal["multiplicative", "additive"]

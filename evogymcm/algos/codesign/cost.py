@@ -8,8 +8,6 @@ from evogymcm.algos.codesign.plan import Training, finetuning, generations, phas
 from evogymcm.algos.learning.evaluation import starts_of
 from evogymcm.envs.tasks import as_task
 
-__all__ = ["Cost", "cost_of"]
-
 
 @dataclass(frozen=True)
 class Cost:

@@ -10,8 +10,6 @@ from evogymcm._settings import check_count
 from evogymcm.algos.codesign.body_search import BodySearchOptions, DesignSearch
 from evogymcm.algos.codesign.design import Individual
 
-__all__ = ["GeneticAlgorithm", "check_population", "survivor_count"]
-
 
 def survivor_count(population: int, budget: int, n_designs: int) -> int:
     """Returns how many of a generation survive: max(2, ceil(P 0.6 (M - n - 1) / (M - 1))), at most all of them.

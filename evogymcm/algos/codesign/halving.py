@@ -6,8 +6,6 @@ from math import ceil
 
 from evogymcm._settings import check_numbers
 
-__all__ = ["HalvingSchedule"]
-
 
 @dataclass(frozen=True)
 class HalvingSchedule:

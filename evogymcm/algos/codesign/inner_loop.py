@@ -20,8 +20,6 @@ from evogymcm.algos.learning.trainer import Trainer
 from evogymcm.algos.runs.folder import RunFolder
 from evogymcm.envs import SoftRobotEnv
 
-__all__ = ["MakeEnv", "Policy", "Trained", "exploring", "holding", "stack_policies", "train_designs"]
-
 Policy = dict[str, Any]
 MakeEnv = Callable[..., SoftRobotEnv]  # all but bodies, their number and stiffness, and the seed is said already
 

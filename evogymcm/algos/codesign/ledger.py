@@ -7,8 +7,6 @@ from evogymcm.algos.codesign.design import Individual
 from evogymcm.algos.codesign.inner_loop import Policy
 from evogymcm.algos.runs.folder import RunFolder
 
-__all__ = ["Ledger"]
-
 
 class Ledger:
     """Rows of all that happened to individuals, their policies, and the best individual so far.

@@ -14,8 +14,6 @@ from evogymcm.algos.codesign.design import Design, Individual
 from evogymcm.algos.codesign.stiffness_proposals import perturb_stiffness
 from evogymcm.body import STIFFNESS_HIGH, STIFFNESS_LOW
 
-__all__ = ["MapElites", "design_measures"]
-
 
 def design_measures(design: Design) -> tuple[float, float]:
     """Returns what tells designs apart here: actuators per voxel, in [0, 1], and mean stiffness of the voxels."""

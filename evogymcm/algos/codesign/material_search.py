@@ -12,8 +12,6 @@ from evogymcm.algos.codesign.config import SearchConfig
 from evogymcm.algos.codesign.design import Design, Individual
 from evogymcm.algos.codesign.stiffness_proposals import CMA, HillClimber, Proposer
 
-__all__ = ["MaterialSearch", "Materials"]
-
 _MARGIN = 0.02  # of the best score's size: the least gain that the reference code accepts
 
 Field = NDArray[np.float64]

@@ -6,8 +6,6 @@ from typing import Any
 from evogymcm.algos.codesign.design import Individual
 from evogymcm.algos.codesign.inner_loop import Policy
 
-__all__ = ["CodesignProgress", "CodesignResult"]
-
 
 @dataclass(frozen=True)
 class CodesignProgress:

@@ -19,8 +19,6 @@ from evogymcm.algos.codesign.outcome import CodesignResult
 from evogymcm.algos.codesign.start import check_start
 from evogymcm.envs.tasks import Task, as_task, register_task
 
-__all__ = ["RayExecutor", "codesign_all", "codesign_in"]
-
 
 def codesign_in(folder: Path, config: CodesignConfig, task: Task | None = None) -> CodesignResult:
     """Runs co-design in a folder, or goes on with what is there; what a worker does.

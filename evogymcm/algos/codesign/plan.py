@@ -10,8 +10,6 @@ from evogymcm.algos.codesign.genetic import survivor_count
 from evogymcm.algos.codesign.halving import HalvingSchedule
 from evogymcm.algos.learning.seeding import derived_seed
 
-__all__ = ["Training", "finetuning", "generations", "phases", "search_seed", "trainings"]
-
 _TRAIN, _SEARCH, _FINETUNE = 0, 1, 2  # stages of a generation with draws of their own
 
 

@@ -17,8 +17,6 @@ from evogymcm.algos.codesign.scoring import score_alone, score_proposals, score_
 from evogymcm.algos.codesign.start import check_start, env_maker, make_body_search
 from evogymcm.algos.runs.folder import RunFolder
 
-__all__ = ["Codesign"]
-
 _STATE = "codesign"
 _SCREENED = 8  # mutants of a child that are played at a time, between looks whether to stop
 

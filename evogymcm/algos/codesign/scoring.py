@@ -18,8 +18,6 @@ from evogymcm.algos.learning.stacking import PerDesign
 from evogymcm.algos.learning.threads import limited_threads
 from evogymcm.envs import SoftRobotEnv
 
-__all__ = ["Scores", "score_alone", "score_proposals", "score_together"]
-
 
 @dataclass(frozen=True)
 class Scores:

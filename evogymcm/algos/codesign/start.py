@@ -14,8 +14,6 @@ from evogymcm.algos.codesign.stiffness_proposals import load_cma
 from evogymcm.body import H_ACT, Body
 from evogymcm.envs import SoftRobotEnv
 
-__all__ = ["check_start", "env_maker", "make_body_search"]
-
 _METHODS: dict[str, type[DesignSearch]] = {"ga": GeneticAlgorithm, "random": RandomSearch, "qd": MapElites}
 
 

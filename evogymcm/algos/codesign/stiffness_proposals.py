@@ -11,8 +11,6 @@ from evogymcm.algos.codesign.config import Noise
 from evogymcm.algos.codesign.design import Design
 from evogymcm.body import STIFFNESS_HIGH, STIFFNESS_LOW
 
-__all__ = ["CMA", "HillClimber", "Proposer", "load_cma", "perturb_stiffness"]
-
 Field = NDArray[np.float64]
 
 

@@ -8,8 +8,6 @@ from evogymcm._messages import brief
 from evogymcm.body import Body, as_body, is_body_file, robot_tasks
 from evogymcm.envs.dealing import as_bodies
 
-__all__ = ["STANDARD_BODY", "as_texts", "default_body", "written_out"]
-
 STANDARD_BODY = "HHHHH/HHHHH/HH.HH/VV.VV/VV.VV"
 
 

@@ -5,8 +5,6 @@ from typing import Any
 from tensordict import TensorDict, TensorDictBase
 from torchrl.collectors import Collector
 
-__all__ = ["WorldCollector"]
-
 
 class WorldCollector(Collector):
     """A collector whose state holds the live worlds too, so that a resumed run goes on within its episodes.

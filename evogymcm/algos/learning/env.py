@@ -5,8 +5,6 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from torchrl.envs import EnvBase
 
-__all__ = ["EnvFactory", "TrainingEnv"]
-
 
 @runtime_checkable
 class TrainingEnv(Protocol):

@@ -7,8 +7,6 @@ from evogymcm.algos.learning.actor import Actor
 from evogymcm.algos.learning.critic import Critic
 from evogymcm.algos.learning.evaluation import Evaluation
 
-__all__ = ["Progress", "TrainResult"]
-
 
 @dataclass(frozen=True)
 class Progress:

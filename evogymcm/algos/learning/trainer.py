@@ -25,8 +25,6 @@ from evogymcm.algos.learning.stacking import PerDesign, by_design, stack_states
 from evogymcm.algos.learning.threads import exploration, limited_threads
 from evogymcm.algos.runs.folder import RunFolder
 
-__all__ = ["Trainer"]
-
 
 def _copies(config: PPOConfig, env: EnvBase) -> int | None:
     """Returns the number of sets of weights, None for shared ones."""

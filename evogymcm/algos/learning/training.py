@@ -20,8 +20,6 @@ from evogymcm.algos.runs.origin import find_origin
 from evogymcm.algos.runs.record import RunRecord
 from evogymcm.envs import SoftRobotEnv
 
-__all__ = ["make_trainer", "train"]
-
 
 def train(
     config: TrainConfig,

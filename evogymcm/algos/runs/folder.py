@@ -19,8 +19,6 @@ from filelock import FileLock, Timeout
 from evogymcm._files import write_atomic
 from evogymcm.algos.runs.older import present_settings
 
-__all__ = ["RunFiles", "RunFolder", "RunInUseError", "stop_on_interrupt"]
-
 CONFIG, TABLE = "config.json", "curve.jsonl"
 _LOCK = ".lock"
 _CANNOT_LOCK = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP)  # of some network file systems

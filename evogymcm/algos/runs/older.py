@@ -5,8 +5,6 @@ from typing import Any
 
 from evogymcm._settings import check_choice
 
-__all__ = ["of_arm", "present_settings"]
-
 _ARMS = ("reactive", "fixed", "invariant", "prescribed")
 
 

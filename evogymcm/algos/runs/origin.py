@@ -7,8 +7,6 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-__all__ = ["find_origin", "usable_cores"]
-
 _PACKAGES = ("evogymcm", "torch", "torchrl", "tensordict", "numba", "numpy")
 
 

@@ -18,8 +18,6 @@ from evogymcm.algos.runs.record import NOT_RECORDED, RunRecord
 from evogymcm.body import Body, as_body
 from evogymcm.envs import SoftRobotEnv
 
-__all__ = ["SavedPolicy", "load_policy"]
-
 _NAMES = ("final.pt", "best.pt", "codesign.pt")
 
 

@@ -13,8 +13,6 @@ from evogymcm.algos.runs.folder import RunFiles, RunFolder
 from evogymcm.algos.runs.older import present_settings
 from evogymcm.body import Body
 
-__all__ = ["KINDS", "NOT_RECORDED", "Kind", "Row", "RunRecord", "best_curve"]
-
 Row = Mapping[str, Any]
 Curve = tuple[tuple[float, float], ...]
 Kind = Literal["train", "codesign"]
