@@ -7,15 +7,36 @@ stiffness, or with stiffness fields of their own, by material search and fine-tu
 import os
 from collections.abc import Callable
 from contextlib import nullcontext
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
+from typing import Any
 
 from evogymcm.algos.codesign.config import CodesignConfig
-from evogymcm.algos.codesign.outcome import CodesignProgress, CodesignResult
-from evogymcm.algos.codesign.run import Codesign
+from evogymcm.algos.codesign.design import Individual
+from evogymcm.algos.codesign.inner_loop import Policy
+from evogymcm.algos.codesign.run import Codesign, CodesignProgress
 from evogymcm.algos.codesign.start import check_start
 from evogymcm.algos.runs.folder import RunFolder, stop_on_interrupt
 from evogymcm.algos.runs.origin import find_origin
 from evogymcm.algos.runs.record import RunRecord, best_curve
+
+
+@dataclass(frozen=True)
+class CodesignResult:
+    """Outcome of a run.
+
+    Attributes:
+        best: the best individual; None where the run was stopped before there was one.
+        policy: its policy.
+        rows: the table, see `Codesign`.
+        env_steps: simulated in all.
+        finished: False if it was stopped.
+    """
+
+    best: Individual | None
+    policy: Policy | None
+    rows: list[dict[str, Any]]
+    env_steps: int
+    finished: bool
 
 
 def codesign(

@@ -14,7 +14,7 @@ import torch
 
 from evogymcm.algos.codesign.body_ppo import BodyPPOConfig, check_body_ppo
 from evogymcm.algos.codesign.design import Design
-from evogymcm.algos.learning.outcome import Progress, TrainResult
+from evogymcm.algos.learning.loop import Progress, TrainResult
 from evogymcm.algos.learning.stacking import stack_states, take_state
 from evogymcm.algos.learning.trainer import Trainer
 from evogymcm.algos.runs.folder import RunFolder

@@ -13,9 +13,8 @@ from concurrent.futures import wait as futures_wait
 from pathlib import Path
 from typing import Any
 
-from evogymcm.algos.codesign.codesigning import codesign
+from evogymcm.algos.codesign.codesigning import CodesignResult, codesign
 from evogymcm.algos.codesign.config import CodesignConfig
-from evogymcm.algos.codesign.outcome import CodesignResult
 from evogymcm.algos.codesign.start import check_start
 from evogymcm.envs.tasks import Task, as_task, register_task
 

@@ -4,11 +4,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
+import numpy as np
+
 from evogymcm.algos.codesign.body_ppo import BodyPPOConfig
 from evogymcm.algos.codesign.config import CodesignConfig
 from evogymcm.algos.codesign.genetic import survivor_count
 from evogymcm.algos.codesign.halving import HalvingSchedule
-from evogymcm.algos.learning.seeding import derived_seed
 
 _TRAIN, _SEARCH, _FINETUNE = 0, 1, 2  # stages of a generation with draws of their own
 
@@ -61,6 +62,15 @@ def finetuning(config: CodesignConfig, generation: int, survivors: int) -> Train
     """Returns the fine-tuning of a generation's survivors."""
     ppo = config.ppo.finetuning(config.finetune_steps)
     return Training("finetune", survivors, replace(ppo, seed=derived_seed(config.seed, generation, _FINETUNE, 0)))
+
+
+def derived_seed(seed: int, *place: int) -> int:
+    """Returns the seed of a place in a run, such as (generation, stage), which no other place or run shares.
+
+    numpy's `SeedSequence` mixes the run's seed with the place. Of sums such as seed + generation, in contrast, one run
+    has the same as another.
+    """
+    return int(np.random.SeedSequence(seed, spawn_key=place).generate_state(1, np.uint64)[0] >> 1)  # fits an int64
 
 
 def search_seed(config: CodesignConfig, generation: int) -> int:

@@ -12,7 +12,7 @@ from tensordict.nn import TensorDictModuleBase
 from evogymcm.algos.codesign.design import Design
 from evogymcm.algos.codesign.inner_loop import MakeEnv, Policy, holding, stack_policies
 from evogymcm.algos.codesign.material_search import MaterialSearch
-from evogymcm.algos.learning.actor import Actor, load_actor
+from evogymcm.algos.learning.actor import load_actor
 from evogymcm.algos.learning.evaluation import evaluate, starts_of
 from evogymcm.algos.learning.stacking import PerDesign
 from evogymcm.algos.learning.threads import limited_threads
@@ -73,10 +73,12 @@ class _OneByOne(TensorDictModuleBase):
     A batched matrix product may round a row differently with the number of rows, and contact makes much of little.
     """
 
-    def __init__(self, actors: Sequence[Actor]) -> None:
+    def __init__(self, policies: Sequence[Policy], columns: int) -> None:
         super().__init__()
-        self.actors = list(actors)
-        self.in_keys, self.out_keys = actors[0].in_keys, actors[0].out_keys
+        self.actors = [load_actor(policy) for policy in policies]
+        for actor in self.actors:
+            actor.columns = columns
+        self.in_keys, self.out_keys = self.actors[0].in_keys, self.actors[0].out_keys
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Writes the actions into `tensordict` (N,) and returns it."""
@@ -88,13 +90,6 @@ class _OneByOne(TensorDictModuleBase):
             idle = torch.ones(len(rows), *answers.shape[1:], dtype=answers.dtype)
             tensordict.set(key, idle.index_copy(0, torch.tensor(asked), answers))
         return tensordict
-
-
-def _actors(policies: Sequence[Policy], columns: int) -> list[Actor]:
-    actors = [load_actor(policy) for policy in policies]
-    for actor in actors:
-        actor.columns = columns
-    return actors
 
 
 def score_alone(make_env: MakeEnv, designs: Sequence[Design], policies: Sequence[Policy], seed: int = 0) -> Scores:
@@ -111,7 +106,7 @@ def score_alone(make_env: MakeEnv, designs: Sequence[Design], policies: Sequence
     """
     if len(policies) != len(designs):
         raise ValueError(f"policies: got {len(policies)}, expected one for each of {len(designs)} designs")
-    return _score(make_env, designs, lambda env: _OneByOne(_actors(policies, env.grid_shape[1])), seed)
+    return _score(make_env, designs, lambda env: _OneByOne(policies, env.grid_shape[1]), seed)
 
 
 def score_together(

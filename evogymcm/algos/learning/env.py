@@ -22,7 +22,6 @@ class TrainingEnv(Protocol):
         task: The task; several episodes tell what a policy is worth where its class overrides `Task.draw`.
         num_designs: Number of different bodies D; world w holds body w % D.
         grid_shape: Rows and columns of the padded grid, V = rows * columns.
-        score_ceiling: (N,) largest possible score of each world, NaN where there is none.
     """
 
     task: Any

@@ -12,8 +12,7 @@ from torchrl.record.loggers import Logger
 from evogymcm._messages import brief
 from evogymcm.algos.learning.config import PPOConfig, TrainConfig
 from evogymcm.algos.learning.env import EnvFactory
-from evogymcm.algos.learning.loop import train_to_the_end
-from evogymcm.algos.learning.outcome import Progress, TrainResult
+from evogymcm.algos.learning.loop import Progress, TrainResult, train_to_the_end
 from evogymcm.algos.learning.trainer import Trainer
 from evogymcm.algos.runs.folder import RunFolder
 from evogymcm.algos.runs.origin import find_origin
@@ -75,10 +74,28 @@ def train(
             run = RunFolder(run, settings, resume=True)
         run.check_settings(settings)
         with run.lock():
-            origin = find_origin()
-            _record(config, origin, None).write(run)
+            record = RunRecord(
+                "train",
+                config.task,
+                label=config.material,
+                material=config.material,
+                bodies=config.bodies,
+                stiffness=config.stiffness,
+                edge_rule=config.edge_rule,
+                seed=config.ppo.seed,
+                origin=find_origin(),
+            )
+            record.write(run)
             result = train_to_the_end(trainer, run=run, **told)
-            _record(config, origin, result).write(run)
+            final = result.final
+            replace(
+                record,
+                finished=result.finished,
+                env_steps=result.env_steps,
+                seconds=result.seconds,
+                curve=tuple((row["env_steps"], row["score"]) for row in result.rows if "score" in row),
+                final=None if final is None else final.summary() | {"ceiling": float(final.ceiling.mean())},
+            ).write(run)
     return result
 
 
@@ -99,30 +116,3 @@ def make_trainer(config: TrainConfig, num_threads: int | None = None) -> Trainer
         num_threads=num_threads,
     )
     return Trainer(make_env, config.ppo)
-
-
-def _record(config: TrainConfig, origin: Mapping[str, Any], result: TrainResult | None) -> RunRecord:
-    """Returns what the run is, and what has come of it so far."""
-    record = RunRecord(
-        "train",
-        config.task,
-        label=config.material,
-        material=config.material,
-        bodies=config.bodies,
-        stiffness=config.stiffness,
-        edge_rule=config.edge_rule,
-        seed=config.ppo.seed,
-        origin=origin,
-    )
-    if result is None:
-        return record
-    return replace(
-        record,
-        finished=result.finished,
-        env_steps=result.env_steps,
-        seconds=result.seconds,
-        curve=tuple((row["env_steps"], row["score"]) for row in result.rows if "score" in row),
-        final=None
-        if result.final is None
-        else result.final.summary() | {"ceiling": float(result.final.ceiling.mean())},
-    )
