@@ -1,9 +1,10 @@
-"""What the commands share: bodies and stiffness as text, run folders, loggers, the progress bar."""
+"""What the commands share: errors, bodies and stiffness as text, run folders, loggers, the progress bar."""
 
 import importlib.util
 import shlex
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -19,6 +20,26 @@ if TYPE_CHECKING:  # both load torch or numba, which help texts do without
 INTERRUPTED = 130  # exit status after Ctrl-C, as shells have it
 
 LoggerName = Literal["none", "csv", "tensorboard", "wandb"]
+
+
+class UsageError(Exception):
+    """An argument cannot be used, or the optional package that it asks for is missing."""
+
+
+@contextmanager
+def checking_arguments() -> Iterator[None]:
+    """Turns what the library says of arguments into a UsageError.
+
+    Only what comes before a command's work belongs in here: the same kinds of errors from the work itself are faults,
+    and hiding where they come from would cost hours.
+
+    Raises:
+        UsageError: A value is not allowed, a file cannot be used, or a package is missing.
+    """
+    try:
+        yield
+    except (ValueError, OSError, ImportError) as error:
+        raise UsageError(str(error)) from error
 
 
 def choose_task(task: str | None, world: Path | None) -> str:

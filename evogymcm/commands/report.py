@@ -7,7 +7,7 @@ from typing import Annotated
 
 import tyro
 
-from evogymcm.commands._errors import checking_arguments
+from evogymcm.commands._options import checking_arguments
 
 DESCRIPTION = """Makes one HTML file of training, co-design or suite folders.
 

@@ -11,12 +11,12 @@ from tyro.conf import arg
 
 from evogymcm._settings import EdgeRule, Material
 from evogymcm.algos.learning.config import PPOConfig, TrainConfig
-from evogymcm.commands._errors import checking_arguments
 from evogymcm.commands._options import (
     INTERRUPTED,
     Bar,
     LoggerName,
     check_logger,
+    checking_arguments,
     choose_task,
     how_to_resume,
     make_logger,

@@ -11,8 +11,7 @@ from tyro.conf import arg
 
 from evogymcm._settings import Material, check_count
 from evogymcm.algos.learning.bodies import default_body
-from evogymcm.commands._errors import checking_arguments
-from evogymcm.commands._options import choose_task, read_stiffness
+from evogymcm.commands._options import checking_arguments, choose_task, read_stiffness
 
 if TYPE_CHECKING:  # torch and numba are loaded when the command runs, not for its help
     import numpy as np
