@@ -23,10 +23,6 @@ def design_sections(arms: Sequence[Arm]) -> list[Section]:
     return [_best(runs), _evolution(arms, runs), _stiffness(arms)] if runs else []
 
 
-def _title(arm: Arm, run: RunRecord) -> str:
-    return f"{run.task}, {arm.label}" + ("" if run.seed is None else f", seed {run.seed}")
-
-
 def _body(row: Row) -> Body:
     return Body(row["body"], row.get("connections"))
 
@@ -36,7 +32,7 @@ def _best(runs: Sequence[tuple[Arm, RunRecord]]) -> Section:
     pictures = []
     for arm, run in runs:
         best = run.ranked()[0]
-        caption = f"{_title(arm, run)}: {best['fitness']:z.2f}"
+        caption = f"{arm.title(run)}: {best['fitness']:z.2f}"
         pictures.append(Picture(body_svg(_body(best)), caption))
     caption = "The best design of each run with its fitness, the score of its stored policy."
     return Section("Best designs", [Pictures("", [Picture(types_svg())]), Pictures("", pictures, caption)])
@@ -61,7 +57,7 @@ def _evolution(arms: Sequence[Arm], runs: Sequence[tuple[Arm, RunRecord]]) -> Se
             line = ancestors(run.designs, run.ranked()[0]["index"])[::-1]
             text = "Line of the best: " + " → ".join(_step(run.designs[index]) for index in line) + "."
             tree = Pictures("", [Picture(lineage_svg(run))], text, is_wide=True)
-            trees.append(Fold(_title(arm, run), [tree], is_open=not trees))
+            trees.append(Fold(arm.title(run), [tree], is_open=not trees))
     return Section("Evolution of designs", [*parts, Note(note), *trees] if trees else parts)
 
 

@@ -1,5 +1,6 @@
 """The family tree of a co-design run: bodies by generation, joined to their parents."""
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from html import escape
 
@@ -37,10 +38,7 @@ def lineage_svg(run: RunRecord) -> str:
     best = run.ranked()[0]
     line = ancestors(run.designs, best["index"])
     shown = shown_by_generation(run, line)
-    totals: dict[int, int] = {}
-    for row in run.ranked():
-        generation = int(row.get("generation") or 0)
-        totals[generation] = totals.get(generation, 0) + 1
+    totals = Counter(int(row.get("generation") or 0) for row in run.ranked())
     places = {
         row["index"]: (_LEFT + _ACROSS * column, _DOWN * at)
         for at, group in enumerate(shown.values())

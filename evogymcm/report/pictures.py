@@ -101,18 +101,13 @@ def cells_svg(
         hint = f"<title>{escape(hints[i])}</title>" if hints else ""
         fill = _EMPTY if colour is None else css(colour)
         square = f'<rect width="{_CELL}" height="{_CELL}" fill="{fill}" stroke="#fff"/>'
-        ink = "#fff" if colour is not None and np.dot(colour, (0.299, 0.587, 0.114)) < 140 else palette_ink()
+        ink = "#fff" if colour is not None and np.dot(colour, (0.299, 0.587, 0.114)) < 140 else css(palette.INK)
         number = form.format(value) if is_known else ""
         text = f'<text x="{_CELL / 2}" y="{0.64 * _CELL:g}" text-anchor="middle" font-size="11" fill="{ink}">'
         place = f"translate({column * _CELL} {row * _CELL})"
         parts.append(f'<g transform="{place}">{hint}{square}{text}{number}</text></g>')
     height, width = (_CELL * count for count in values.shape)
     return _svg(width, height, "".join(parts), "values of the voxels", (0, 0, width, height))
-
-
-def palette_ink() -> str:
-    """Returns the colour of text on light ground."""
-    return css(palette.INK)
 
 
 def ramp_svg(colours: Colours, low: float, high: float, labels: Sequence[str], *, is_log: bool) -> str:

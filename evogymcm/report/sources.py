@@ -67,6 +67,10 @@ class Arm:
         """Returns the runs of a task and kind."""
         return [run for run in self.runs if run.task == task and run.kind == kind]
 
+    def title(self, run: RunRecord) -> str:
+        """Returns what one of the runs is called."""
+        return f"{run.task}, {self.label}" + ("" if run.seed is None else f", seed {run.seed}")
+
 
 def read_sources(paths: Sequence[Path]) -> list[Source]:
     """Returns what lies in the folders, under names that differ.
