@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields
 from numbers import Real
+from operator import ge, gt, le, lt
 from types import NoneType, UnionType
 from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
@@ -71,16 +72,10 @@ def check_number(
     Raises:
         ValueError: It is none, or out of range.
     """
-    bounds = {"at least": low, "above": above, "at most": high, "below": below}
-    given = {text: bound for text, bound in bounds.items() if bound is not None}
-    if (
-        not _is_finite(value)
-        or (low is not None and value < low)
-        or (above is not None and value <= above)
-        or (high is not None and value > high)
-        or (below is not None and value >= below)
-    ):
-        allowed = " and ".join(f"{text} {bound:g}" for text, bound in given.items())
+    bounds = (("at least", ge, low), ("above", gt, above), ("at most", le, high), ("below", lt, below))
+    given = [(text, fits, bound) for text, fits, bound in bounds if bound is not None]
+    if not _is_finite(value) or not all(fits(value, bound) for _, fits, bound in given):
+        allowed = " and ".join(f"{text} {bound:g}" for text, _, bound in given)
         raise ValueError(f"{name}: got {value!r}, expected a finite number {allowed}".rstrip())
     return float(value)
 

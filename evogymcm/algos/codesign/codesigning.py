@@ -71,7 +71,17 @@ def codesign(
     run.check_settings(settings)
     with run.lock():
         state = Codesign(config, run)
-        record = _record(config)
+        stiffness = None if config.material == "reactive" or config.search else config.stiffness
+        record = RunRecord(
+            "codesign",
+            config.task,
+            label=config.material if stiffness is None else f"stiffness {stiffness:g}",
+            material=config.material,
+            stiffness=stiffness,
+            edge_rule=config.edge_rule,
+            seed=config.seed,
+            origin=find_origin(),
+        )
         record.write(run)
         result = _to_the_end(state, progress, should_stop)
         replace(
@@ -98,18 +108,3 @@ def _to_the_end(
     best = state.ledger.champion
     policy = None if best is None else state.ledger.policy(best.index)
     return CodesignResult(best, policy, state.ledger.rows, state.env_steps, state.is_finished)
-
-
-def _record(config: CodesignConfig) -> RunRecord:
-    """Returns what the run is, before anything has come of it."""
-    stiffness = None if config.material == "reactive" or config.search else config.stiffness
-    return RunRecord(
-        "codesign",
-        config.task,
-        label=config.material if stiffness is None else f"stiffness {stiffness:g}",
-        material=config.material,
-        stiffness=stiffness,
-        edge_rule=config.edge_rule,
-        seed=config.seed,
-        origin=find_origin(),
-    )
