@@ -25,7 +25,4 @@ def door(
         home = homes[name]
         return getattr(import_module(home if home.startswith("evogymcm.") else f"{package}.{home}"), name)
 
-    def listed() -> list[str]:
-        return names
-
-    return get, listed, names
+    return get, names.copy, names

@@ -15,7 +15,6 @@ from evogymcm.commands._options import INTERRUPTED, Bar, checking_arguments, how
 
 if TYPE_CHECKING:
     from evogymcm.algos.codesign import CodesignProgress, CodesignResult
-    from evogymcm.algos.runs import RunFolder
 
 DESCRIPTION = """Evolves bodies together with their material and control, and keeps all of it in a run folder.
 
@@ -107,20 +106,15 @@ def run(options: Options, arguments: Sequence[str]) -> int:
     Raises:
         UsageError: An argument cannot be used, or an optional package is missing.
     """
+    from evogymcm.algos.codesign import codesign, cost_of
     from evogymcm.algos.codesign.start import check_start
+    from evogymcm.algos.learning import keep_freed_memory
 
     with checking_arguments():
         config = config_of(options, arguments)
         check_start(config)
         path = options.run or Path("runs") / f"{Path(config.task).stem}-codesign-{config.material}-seed{config.seed}"
         folder = open_run(path, asdict(config), resume=options.resume, overwrite=options.overwrite)
-    return _codesign(config, folder, arguments)
-
-
-def _codesign(config: CodesignConfig, folder: "RunFolder", arguments: Sequence[str]) -> int:
-    from evogymcm.algos.codesign import codesign, cost_of
-    from evogymcm.algos.learning import keep_freed_memory
-
     cost = cost_of(config)
     limit = cost.total if config.max_env_steps is None else min(cost.total, config.max_env_steps)
     parts = ", ".join(f"{name} {steps:,}" for name, steps in asdict(cost).items() if steps)

@@ -19,7 +19,6 @@ if TYPE_CHECKING:  # torch and numba are loaded when the command runs, not for i
 
     from evogymcm.algos.learning.playing import Gait
     from evogymcm.envs import SoftRobotEnv, TaskEngine
-    from evogymcm.envs.render.renderer import Renderer
 
 DESCRIPTION = """Shows an episode, in a window or as a video, and prints the scores.
 
@@ -86,8 +85,16 @@ def run(options: Options, arguments: Sequence[str]) -> int:
         renderer = Renderer(env, options.width, options.height, options.view)
         engine = renderer.engine
         out = _out(options.out, engine.task.id)
+    from evogymcm.algos.learning import play
+
+    engine.set_seed(0)  # the same episode whenever it is watched
     steps = options.steps or engine.task.time_limit
-    _show(_pictures(env, policy, renderer, steps, options.every), engine.task.id, out, options.every)
+    pictures = (
+        renderer.frame() if engine.num_worlds == 1 else renderer.grid()
+        for now in play(policy, env, steps=steps)
+        if now.step % options.every == 0 or now.step == steps or not now.running.any()
+    )
+    _show(pictures, engine.task.id, out, options.every)
     for world, body in enumerate(engine.bodies):
         print(f"{body.text}: {engine.length[world]} env-steps, score {engine.score[world]:.3f}")
     return 0
@@ -113,23 +120,6 @@ def _worlds(options: Options) -> "tuple[TaskEngine | SoftRobotEnv, TensorDictMod
     fields = read_stiffness(options.stiffness, bodies or saved.bodies)
     env = saved.make_env(task=other, bodies=bodies, stiffness=fields)
     return env, saved.module(env)
-
-
-def _pictures(
-    env: "TaskEngine | SoftRobotEnv",
-    policy: "TensorDictModuleBase | Gait",
-    renderer: "Renderer",
-    steps: int,
-    every: int,
-) -> "Iterator[np.ndarray]":
-    """Yields pictures until the steps are done or all episodes have ended."""
-    from evogymcm.algos.learning import play
-
-    engine = renderer.engine
-    engine.set_seed(0)  # the same episode whenever it is watched
-    for now in play(policy, env, steps=steps):
-        if now.step % every == 0 or now.step == steps or not now.running.any():
-            yield renderer.frame() if engine.num_worlds == 1 else renderer.grid()
 
 
 def _out(given: Path | None, task: str) -> Path | None:
