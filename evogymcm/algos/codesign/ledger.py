@@ -54,14 +54,9 @@ class Ledger:
             self._policies[index] = policy
 
     def add(self, event: str, individual: Individual, generation: int, env_steps: int, total: float | None) -> None:
-        """Adds a row for an individual with fitness.
+        """Adds a row for an individual with fitness, as it is after an event: "train", "search" or "finetune".
 
-        Args:
-            event: "train", "search" or "finetune".
-            individual: it, as it is now.
-            generation: when it happened.
-            env_steps: all that are simulated so far.
-            total: its return; None for the one that it had.
+        `env_steps` are all that are simulated so far, `total` is its return; None for the one that it had.
         """
         assert individual.fitness is not None
         if self.best is None or individual.fitness > self.best:

@@ -22,10 +22,7 @@ from evogymcm.envs.tasks import Task, as_task, register_task
 def codesign_in(folder: Path, config: CodesignConfig, task: Task | None = None) -> CodesignResult:
     """Runs co-design in a folder, or goes on with what is there; what a worker does.
 
-    Args:
-        folder: where the run is kept.
-        config: its settings.
-        task: the one that the settings name, for workers that have not registered it.
+    `task` is the one that the settings name, for workers that have not registered it.
     """
     if task is not None and task.id == config.task:  # the file of a world has no id
         register_task(task, replace=True)

@@ -1,5 +1,6 @@
-"""What a run of co-design does, phase by phase: for the run itself, and for what it costs."""
+"""What a run of co-design does, phase by phase, and what that costs in simulated env-steps, known before it starts."""
 
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -7,28 +8,22 @@ from itertools import pairwise
 import numpy as np
 
 from evogymcm.algos.codesign.body_ppo import BodyPPOConfig
-from evogymcm.algos.codesign.config import CodesignConfig
+from evogymcm.algos.codesign.config import CodesignConfig, HalvingSchedule
 from evogymcm.algos.codesign.genetic import survivor_count
-from evogymcm.algos.codesign.halving import HalvingSchedule
+from evogymcm.algos.learning.evaluation import starts_of
+from evogymcm.envs.tasks import as_task
 
 _TRAIN, _SEARCH, _FINETUNE = 0, 1, 2  # stages of a generation with draws of their own
 
 
 @dataclass(frozen=True)
 class Training:
-    """A training of several bodies side by side.
+    """A training of several bodies side by side."""
 
-    Attributes:
-        name: what its folder is called, within that of the generation.
-        bodies: how many train.
-        ppo: settings of one of them.
-        kept: how many go on to the next training of the generation; None after the last one.
-    """
-
-    name: str
+    name: str  # of its folder, within that of the generation
     bodies: int
-    ppo: BodyPPOConfig
-    kept: int | None = None
+    ppo: BodyPPOConfig  # of one of them
+    kept: int | None = None  # go on to the next training of the generation; None after the last one
 
 
 def generations(config: CodesignConfig) -> Iterator[tuple[int, int]]:
@@ -76,3 +71,61 @@ def derived_seed(seed: int, *place: int) -> int:
 def search_seed(config: CodesignConfig, generation: int) -> int:
     """Returns the seed of a generation's material search."""
     return derived_seed(config.seed, generation, _SEARCH, 0)
+
+
+@dataclass(frozen=True)
+class Cost:
+    """The most env-steps that a run can take, by what they are for.
+
+    Attributes:
+        training: env-steps in which new bodies learn.
+        scoring: env-steps of evaluations of all kinds.
+        screening: env-steps of mutants, of which few are trained.
+        search: env-steps under stiffness fields that are tried.
+        finetuning: env-steps in which survivors learn on.
+    """
+
+    training: int = 0
+    scoring: int = 0
+    screening: int = 0
+    search: int = 0
+    finetuning: int = 0
+
+    @property
+    def total(self) -> int:
+        """All of them."""
+        return self.training + self.scoring + self.screening + self.search + self.finetuning
+
+
+def cost_of(config: CodesignConfig) -> Cost:
+    """Returns what a run takes where no episode ends before its time limit and no max_env_steps ends the run.
+
+    Raises:
+        ValueError: There is no such task.
+    """
+    task = as_task(config.task)
+    evaluation = task.time_limit * starts_of(task)  # of one body
+    spent: Counter[str] = Counter()
+
+    def learn(kind: str, training: Training) -> None:
+        frames = training.ppo.frames_per_update
+        updates = -(-training.ppo.total_steps // frames)
+        interval = training.ppo.eval_interval
+        between = min(updates - 1, (updates - 1) * frames // interval) if interval else 0
+        spent[kind] += training.bodies * updates * frames
+        spent["scoring"] += training.bodies * evaluation * (between + 2)  # with the untrained and the final policy
+
+    for generation, (new, survivors) in enumerate(generations(config)):
+        for phase in phases(config, generation, survivors):
+            if phase == "screen":
+                spent["screening"] += new * config.mutants * evaluation
+            elif phase == "train":
+                spent["scoring"] += new * evaluation
+                for training in trainings(config, generation, new):
+                    learn("training", training)
+            elif phase == "finetune":
+                spent["scoring"] += survivors * evaluation
+                learn("finetuning", finetuning(config, generation, survivors))
+            elif config.search:
+                spent["search"] += config.search.rounds * (config.search.candidates + 1) * survivors * evaluation
+    return Cost(**spent)

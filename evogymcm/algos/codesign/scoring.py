@@ -114,14 +114,7 @@ def score_together(
 ) -> Scores:
     """Scores several designs under each policy in one batch: fast, and the same as `score_alone` but for rounding.
 
-    Args:
-        make_env: see `train_designs`.
-        groups: C designs for each of P policies.
-        policies: P policies.
-        seed: where tasks with random resets draw from; those of several episodes count up. The same for all designs.
-
-    Returns:
-        Scores whose arrays have the shape (P, C).
+    `groups` has C designs for each of P policies; the arrays of the scores have the shape (P, C).
 
     Raises:
         ValueError: There are not as many policies as groups.
@@ -146,14 +139,9 @@ def score_proposals(
 ) -> tuple[np.ndarray, np.ndarray, int]:
     """Scores all proposals of a search's round in one batch, and the best of each that may be accepted also by itself.
 
-    Args:
-        make_env: see `train_designs`.
-        search: that of S individuals, with a round to be told.
-        policies: the individuals' policies.
-
     Returns:
-        Scores of all proposals, (S * candidates,); returns of those also scored by themselves, (S,), NaN for others;
-        the env-steps simulated.
+        Scores of all proposals of S individuals, (S * candidates,); returns of those also scored by themselves, (S,),
+        NaN for others; the env-steps simulated.
     """
     fields = search.ask()  # (S * candidates, rows, columns)
     fields = fields.reshape(len(policies), -1, *fields.shape[1:])
