@@ -129,7 +129,7 @@ def _out(given: Path | None, task: str) -> Path | None:
         ImportError: A package that it needs is missing.
         ValueError: There is no such format or folder.
     """
-    from evogymcm.envs._extras import load_imageio
+    from evogymcm._extras import load_imageio
     from evogymcm.envs.render.display import has_display
     from evogymcm.envs.render.video import VIDEOS
 

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
+from evogymcm._extras import load_plotly
 from evogymcm.algos.analysis import Band, band
 from evogymcm.algos.runs.record import Kind, RunRecord
 from evogymcm.report.sources import Arm
@@ -12,19 +13,6 @@ if TYPE_CHECKING:
 
 _BAND, _SEED = 0.16, 0.35  # opacities
 _INK = "#191c21"
-
-
-def load_plotly() -> Any:
-    """Returns `plotly.graph_objects`.
-
-    Raises:
-        ImportError: It is not installed.
-    """
-    try:
-        import plotly.graph_objects as go
-    except ImportError as error:
-        raise ImportError("reports need plotly, which cannot be imported: pip install evogymcm[report]") from error
-    return go
 
 
 def new_figure(x: str, y: str) -> "go.Figure":

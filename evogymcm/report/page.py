@@ -4,11 +4,11 @@ from collections.abc import Sequence
 from itertools import count
 from pathlib import Path
 
+from evogymcm._extras import load_extra, load_plotly
 from evogymcm.algos.analysis import interval_note
 from evogymcm.algos.runs.record import Kind
 from evogymcm.report import figures, tables
 from evogymcm.report.designs import design_sections
-from evogymcm.report.figures import load_plotly
 from evogymcm.report.parts import Figure, Fold, Note, Part, Picture, Pictures, Section
 from evogymcm.report.signals import signal_parts
 from evogymcm.report.sources import Arm, Source, make_arms, read_sources
@@ -71,10 +71,7 @@ def make_report(runs: Sequence[str | Path], *, animations: bool = True) -> str:
 def _check_packages() -> None:
     """Raises an ImportError, naming the extra, where one of its packages is missing."""
     load_plotly()
-    try:
-        import jinja2  # noqa: F401
-    except ImportError as error:
-        raise ImportError("reports need jinja2, which cannot be imported: pip install evogymcm[report]") from error
+    load_extra("jinja2", "reports need jinja2, which cannot be imported", "report")
 
 
 def _page(sources: Sequence[Source], *, animations: bool) -> str:

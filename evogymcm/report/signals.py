@@ -5,8 +5,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from evogymcm._extras import load_plotly
 from evogymcm.algos.runs.record import Row
-from evogymcm.report.figures import load_plotly, new_figure
+from evogymcm.report.figures import new_figure
 from evogymcm.report.parts import Figure, Note, Part, Picture, Pictures, Table
 from evogymcm.report.pictures import cells_svg, ramp_svg, stiffness_ramp, stiffness_svg
 

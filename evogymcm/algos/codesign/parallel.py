@@ -13,6 +13,7 @@ from concurrent.futures import wait as futures_wait
 from pathlib import Path
 from typing import Any
 
+from evogymcm._extras import load_extra
 from evogymcm.algos.codesign.codesigning import CodesignResult, codesign
 from evogymcm.algos.codesign.config import CodesignConfig
 from evogymcm.algos.codesign.start import check_start
@@ -83,10 +84,7 @@ class RayExecutor(Executor):
     """
 
     def __init__(self, **options: Any) -> None:
-        try:
-            import ray
-        except ImportError as error:
-            raise ImportError("RayExecutor needs the package ray: pip install evogymcm[ray]") from error
+        ray = load_extra("ray", "RayExecutor needs the package ray", "ray")
         self._ray, self._is_ours = ray, not ray.is_initialized()
         if self._is_ours:
             ray.init(**options)

@@ -5,12 +5,12 @@ from typing import Any
 
 import numpy as np
 
+from evogymcm._extras import load_cma
 from evogymcm.algos.codesign.body_search import DesignSearch
 from evogymcm.algos.codesign.config import CodesignConfig
 from evogymcm.algos.codesign.genetic import GeneticAlgorithm
 from evogymcm.algos.codesign.map_elites import MapElites
 from evogymcm.algos.codesign.random_search import RandomSearch
-from evogymcm.algos.codesign.stiffness_proposals import load_cma
 from evogymcm.body import H_ACT, Body
 from evogymcm.envs import SoftRobotEnv
 

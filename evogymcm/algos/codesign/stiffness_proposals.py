@@ -1,11 +1,12 @@
 """What to try next for one body's stiffness field: noise on the best so far (EvoGymCM), or CMA-ES (Hansen, 2016)."""
 
 from math import log
-from typing import Any, get_args
+from typing import get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
+from evogymcm._extras import load_cma
 from evogymcm._settings import check_choice
 from evogymcm.algos.codesign.config import Noise, SearchConfig
 from evogymcm.algos.codesign.design import Design
@@ -66,24 +67,10 @@ class HillClimber:
         """Learns nothing: the best field says it all."""
 
 
-def load_cma() -> Any:
-    """Returns the package for CMA-ES.
-
-    Raises:
-        ImportError: It is missing.
-    """
-    try:
-        import cma
-    except ImportError as error:
-        raise ImportError("proposal 'cma' needs the package cma: pip install evogymcm[cma]") from error
-    return cma
-
-
 class CMA:
     """CMA-ES over the logarithms of the voxels' stiffness, begun at the given field."""
 
     def __init__(self, start: Design, rng: np.random.Generator, config: SearchConfig) -> None:
-        cma = load_cma()
         options = {
             "bounds": [log(STIFFNESS_LOW), log(STIFFNESS_HIGH)],
             "popsize": config.candidates,
@@ -92,7 +79,8 @@ class CMA:
             "randn": lambda *shape: rng.standard_normal(shape),
         }
         self.start = start
-        self.optimizer = cma.CMAEvolutionStrategy(np.log(start.field[start.body.occupancy]), config.sigma, options)
+        voxels = start.field[start.body.occupancy]
+        self.optimizer = load_cma().CMAEvolutionStrategy(np.log(voxels), config.sigma, options)
         self.points: list[Field] = []
 
     def ask(self, best: Design) -> list[Field]:

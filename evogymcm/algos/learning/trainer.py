@@ -92,8 +92,7 @@ class Trainer:
     def _set_up(self, env: EnvBase) -> None:
         """Makes the networks and what trains them."""
         config, copies = self.config, _copies(self.config, env)
-        self.designs = env.num_designs
-        self._eval_worlds = config.eval_worlds or self.designs * starts_of(env.task)
+        self._eval_worlds = config.eval_worlds or env.num_designs * starts_of(env.task)
         options: dict[str, Any] = {"network": config.network, "copies": copies, "generator": self.generator}
         with limited_threads(config.torch_threads):
             self.actor = make_actor(env, config.hidden, config.initial_std, context=config.context, **options)

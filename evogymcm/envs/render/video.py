@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from evogymcm.envs._extras import load_imageio
+from evogymcm._extras import load_imageio
 from evogymcm.envs.render.renderer import FPS
 
 VIDEOS = (".mp4", ".gif")
