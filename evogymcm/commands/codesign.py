@@ -68,11 +68,7 @@ class Options:
 
 
 def in_present_words(arguments: Sequence[str]) -> list[str]:
-    """Returns arguments of `codesign` with `--arm` and `--prescribed` as they are written today, and says so on stderr.
-
-    Raises:
-        ValueError: There was no such arm.
-    """
+    """Returns arguments of `codesign` with `--arm` and `--prescribed` as they are written today, and says so."""
     rest = [part for item in arguments for part in (item.split("=", 1) if item.startswith("--") else [item])]
     old: dict[str, str] = {}
     for name in ("arm", "prescribed"):
@@ -101,11 +97,7 @@ def config_of(options: Options, arguments: Sequence[str]) -> CodesignConfig:
 
 
 def run(options: Options, arguments: Sequence[str]) -> int:
-    """Evolves and returns the exit status.
-
-    Raises:
-        UsageError: An argument cannot be used, or an optional package is missing.
-    """
+    """Evolves and returns the exit status."""
     from evogymcm.algos.codesign import codesign, cost_of
     from evogymcm.algos.codesign.start import check_start
     from evogymcm.algos.learning import keep_freed_memory

@@ -78,11 +78,7 @@ class Options:
 
 
 def run(options: Options, arguments: Sequence[str]) -> int:
-    """Trains and returns the exit status.
-
-    Raises:
-        UsageError: An argument cannot be used, or a logger's package is missing.
-    """
+    """Trains and returns the exit status."""
     from evogymcm.algos.learning import keep_freed_memory, train
     from evogymcm.algos.learning.training import make_trainer
 
@@ -105,11 +101,7 @@ def run(options: Options, arguments: Sequence[str]) -> int:
 
 
 def _config(options: Options) -> TrainConfig:
-    """Returns the settings of the run, with bodies that mean the same wherever it is looked at.
-
-    Raises:
-        ValueError: A world, body or stiffness cannot be used.
-    """
+    """Returns the settings of the run, with bodies that mean the same wherever it is looked at."""
     task = choose_task(options.task, options.world)
     config = TrainConfig(task, options.body, options.material, edge_rule=options.edge_rule, ppo=options.ppo).resolved()
     fields = read_stiffness(options.stiffness, config.bodies)

@@ -70,11 +70,7 @@ class Options:
 
 
 def run(options: Options, arguments: Sequence[str]) -> int:
-    """Shows an episode and returns the exit status.
-
-    Raises:
-        UsageError: An argument cannot be used, or a package of the extra `render` is missing.
-    """
+    """Shows an episode and returns the exit status."""
     with checking_arguments():
         for name in ("steps", "every"):
             if getattr(options, name) is not None:
@@ -123,12 +119,7 @@ def _worlds(options: Options) -> "tuple[TaskEngine | SoftRobotEnv, TensorDictMod
 
 
 def _out(given: Path | None, task: str) -> Path | None:
-    """Returns the file to write, None for a window.
-
-    Raises:
-        ImportError: A package that it needs is missing.
-        ValueError: There is no such format or folder.
-    """
+    """Returns the file to write, None for a window."""
     from evogymcm._extras import load_imageio
     from evogymcm.envs.render.display import has_display
     from evogymcm.envs.render.video import VIDEOS

@@ -56,12 +56,7 @@ def _policy(run: RunRecord) -> Path:
 
 
 def animate(arm: Arm, run: RunRecord, policy: Path) -> tuple[str, str]:
-    """Returns the GIF as a data URI, and its caption.
-
-    Raises:
-        ImportError: A package of the extra `render` is missing.
-        ValueError: The policy or design cannot be used, or the GIF would be too large.
-    """
+    """Returns the GIF as a data URI, and its caption."""
     from evogymcm.algos.learning import play
     from evogymcm.algos.runs import load_policy
     from evogymcm.envs import Renderer
@@ -76,11 +71,7 @@ def animate(arm: Arm, run: RunRecord, policy: Path) -> tuple[str, str]:
 
 
 def gif_uri(frames: Sequence[np.ndarray], largest: int = LARGEST) -> str:
-    """Returns a GIF as a data URI; every other picture is left out until it is small enough.
-
-    Raises:
-        ValueError: Two pictures are still too large.
-    """
+    """Returns a GIF as a data URI; every other picture is left out until it is small enough."""
     from evogymcm.envs.render.renderer import FPS
     from evogymcm.envs.render.video import write_video
 

@@ -131,9 +131,6 @@ def average_field(designs: Sequence[tuple[Body, Field]]) -> tuple[Field, NDArray
 
     Args:
         designs: bodies and their fields, all of one shape.
-
-    Raises:
-        ValueError: There is none, or the shapes differ.
     """
     shapes = {body.shape for body, _ in designs}
     if len(shapes) != 1:

@@ -73,11 +73,7 @@ class Arm:
 
 
 def read_sources(paths: Sequence[Path]) -> list[Source]:
-    """Returns what lies in the folders, under names that differ.
-
-    Raises:
-        ValueError: There is no folder, one is given twice, or one holds no run.
-    """
+    """Returns what lies in the folders, under names that differ."""
     if not paths:
         raise ValueError("runs: got none, at least one run folder is needed")
     resolved = [path.resolve() for path in paths]
@@ -97,11 +93,7 @@ def _names(paths: Sequence[Path]) -> list[str]:
 
 
 def read_source(path: Path, name: str | None = None) -> Source:
-    """Returns what lies in a folder, recognised by its content.
-
-    Raises:
-        ValueError: It is no folder, holds no run, or none that has begun.
-    """
+    """Returns what lies in a folder, recognised by its content."""
     if not path.is_dir():
         raise ValueError(f"runs: {path} is not a folder")
     name = name or path.resolve().name

@@ -36,11 +36,7 @@ class Ledger:
         return None if self.champion is None else self.champion.fitness
 
     def policy(self, index: int) -> Policy:
-        """Returns an individual's policy.
-
-        Raises:
-            KeyError: There is none, or it was forgotten.
-        """
+        """Returns an individual's policy."""
         saved = self.run.load(_name(index)) if self.run else self._policies.get(index)
         if saved is None:
             raise KeyError(f"there is no policy of individual {index}")

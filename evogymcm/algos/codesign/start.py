@@ -18,11 +18,7 @@ _METHODS: dict[str, type[DesignSearch]] = {"ga": GeneticAlgorithm, "random": Ran
 
 
 def make_body_search(config: CodesignConfig) -> DesignSearch:
-    """Returns the search over bodies, before its first generation.
-
-    Raises:
-        ImportError: Its package is missing.
-    """
+    """Returns the search over bodies, before its first generation."""
     options: dict[str, Any] = {name: getattr(config, name) for name in ("seed", "mutation_rate", "attempts", "weights")}
     if config.method == "ga":
         options["age_protection"] = config.age_protection

@@ -38,11 +38,7 @@ def _as_text(body: str | os.PathLike[str] | Body) -> str:
 
 
 def written_out(text: str) -> str:
-    """Returns a file's body as rows; other texts, and a file whose connections cannot be written so, as they are.
-
-    Raises:
-        ValueError: The file cannot be read.
-    """
+    """Returns a file's body as rows; other texts, and a file whose connections cannot be written so, as they are."""
     if not is_body_file(text):
         return text
     body = as_body(Path(text))

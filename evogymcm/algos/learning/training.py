@@ -100,11 +100,7 @@ def train(
 
 
 def make_trainer(config: TrainConfig, num_threads: int | None = None) -> Trainer:
-    """Returns what trains a policy with these settings.
-
-    Raises:
-        ValueError: The task, a body or a field cannot be used, or settings do not go together.
-    """
+    """Returns what trains a policy with these settings."""
     bodies, fields = config.designs()
     make_env: EnvFactory = partial(
         SoftRobotEnv,

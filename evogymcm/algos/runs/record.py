@@ -236,11 +236,7 @@ def _stiffness(told: Row, config: Row, kind: Kind) -> Any:
 
 
 def _is_finished(files: RunFiles) -> bool:
-    """Whether co-design has used a budget and done all phases of its last generation, by the state that it saved.
-
-    Raises:
-        ValueError: The state cannot be read.
-    """
+    """Whether co-design has used a budget and done all phases of its last generation, by the state that it saved."""
     try:
         state = files.load(_STATE)
         if state is None or state["phase"] not in _FIRST_PHASES:  # None: killed in its first phase
