@@ -55,23 +55,20 @@ def curves(task: str, arms: Sequence[Arm], kind: Kind) -> "go.Figure":
 
 def fitness_by_generation(task: str, arms: Sequence[Arm]) -> "go.Figure":
     """Returns the fitness of every body that was trained, by the generation in which it was proposed."""
-    go = load_plotly()
     figure = new_figure("generation", "fitness")
     shown = [(arm, arm.of(task, "codesign")) for arm in arms]
     shown = [(arm, runs) for arm, runs in shown if any(len(run.designs) > 1 for run in runs)]
     for i, (arm, runs) in enumerate(shown):
         offset = 0.16 * (i - (len(shown) - 1) / 2)  # arms side by side
         told = [(run, row) for run in runs for row in run.ranked()]
-        figure.add_trace(
-            go.Scatter(
-                x=[row.get("generation", 0) + offset for _, row in told],
-                y=[row["fitness"] for _, row in told],
-                mode="markers",
-                name=arm.label,
-                marker={"color": arm.colour, "size": 6, "opacity": 0.6},
-                text=[f"{row['body']}<br>{_seed(run.seed)}, number {row.get('index')}" for run, row in told],
-                hovertemplate="%{y:.3f}<br>%{text}<extra></extra>",
-            )
+        figure.add_scatter(
+            x=[row.get("generation", 0) + offset for _, row in told],
+            y=[row["fitness"] for _, row in told],
+            mode="markers",
+            name=arm.label,
+            marker={"color": arm.colour, "size": 6, "opacity": 0.6},
+            text=[f"{row['body']}<br>{_seed(run.seed)}, number {row.get('index')}" for run, row in told],
+            hovertemplate="%{y:.3f}<br>%{text}<extra></extra>",
         )
     last = max((row.get("generation", 0) for _, runs in shown for run in runs for row in run.ranked()), default=0)
     figure.update_xaxes(tick0=0, dtick=last // 8 + 1, range=[-0.6, last + 0.6])
@@ -105,7 +102,7 @@ def _add_line(figure: "go.Figure", arm: Arm, x: Any, y: Any, shape: str, line: d
     """Adds a line in the arm's colour; without a legend's entry unless the options ask for one."""
     line = {"color": arm.colour, "shape": shape} | line
     options = {"mode": "lines", "showlegend": False, "legendgroup": arm.label} | options
-    figure.add_trace(load_plotly().Scatter(x=x, y=y, line=line, **options))
+    figure.add_scatter(x=x, y=y, line=line, **options)
 
 
 def _add_band(figure: "go.Figure", arm: Arm, mean: Band, shape: str) -> None:
