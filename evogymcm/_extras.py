@@ -28,6 +28,11 @@ def load_imageio() -> Any:
     return load_extra("imageio.v2", "rendering needs imageio, which cannot be imported", "render")
 
 
+def load_ffmpeg() -> Any:
+    """Returns imageio's FFMPEG; an ImportError where it is missing."""
+    return load_extra("imageio_ffmpeg", "MP4 needs imageio-ffmpeg", "render")
+
+
 def load_plotly() -> Any:
     """Returns `plotly.graph_objects`; an ImportError where it is missing."""
     return load_extra("plotly.graph_objects", "reports need plotly, which cannot be imported", "report")

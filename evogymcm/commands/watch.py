@@ -1,6 +1,5 @@
 """`evogymcm watch`: robots at work, in a window or a file."""
 
-import importlib.util
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -120,7 +119,7 @@ def _worlds(options: Options) -> "tuple[TaskEngine | SoftRobotEnv, TensorDictMod
 
 def _out(given: Path | None, task: str) -> Path | None:
     """Returns the file to write, None for a window."""
-    from evogymcm._extras import load_imageio
+    from evogymcm._extras import load_ffmpeg, load_imageio
     from evogymcm.envs.render.display import has_display
     from evogymcm.envs.render.video import VIDEOS
 
@@ -133,8 +132,8 @@ def _out(given: Path | None, task: str) -> Path | None:
     if not out.parent.is_dir():
         raise ValueError(f"out: the folder {out.parent} does not exist")
     load_imageio()
-    if suffix == ".mp4" and importlib.util.find_spec("imageio_ffmpeg") is None:
-        raise ImportError("MP4 needs imageio-ffmpeg: pip install evogymcm[render]")
+    if suffix == ".mp4":
+        load_ffmpeg()
     return out
 
 
