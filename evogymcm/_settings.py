@@ -42,12 +42,10 @@ def check_fields(config: Any, bounds: Mapping[str, Mapping[str, Any]]) -> None:
         object.__setattr__(config, field.name, value)
 
 
-def check_count(name: str, value: Any, low: int = 1, high: int | None = None) -> int:
+def check_count(name: str, value: Any, low: int = 1) -> int:
     """Returns a whole number, as 1e6 and numpy's are too."""
-    is_whole = _is_finite(value) and value == math.floor(value)
-    if not is_whole or value < low or (high is not None and value > high):
-        bounds = f"of at least {low}" if high is None else f"from {low} to {high}"
-        raise ValueError(f"{name}: got {value!r}, expected a whole number {bounds}")
+    if not _is_finite(value) or value != math.floor(value) or value < low:
+        raise ValueError(f"{name}: got {value!r}, expected a whole number of at least {low}")
     return int(value)
 
 

@@ -92,11 +92,10 @@ def _fields(title: str, runs: Sequence[RunRecord]) -> Pictures:
                 seed = "" if run.seed is None else f"seed {run.seed}, "
                 caption = f"{seed}best design (no. {row.get('index', '?')}): {row['fitness']:z.2f}"
                 pictures.append(Picture(stiffness_svg(field, body.occupancy), caption))
-    pictures += [_average(designs) for designs in chosen.values() if len(designs) > 1]
+    for designs in chosen.values():
+        if len(designs) > 1:
+            mean, counts = average_field(designs)
+            hints = [f"{counts[cell]} of {len(designs)} designs" for cell in zip(*np.nonzero(counts), strict=True)]
+            caption = f"average over {len(designs)} of the best designs"
+            pictures.append(Picture(stiffness_svg(mean, counts > 0, hints), caption))
     return Pictures(title, pictures)
-
-
-def _average(designs: Sequence[tuple[Body, np.ndarray]]) -> Picture:
-    mean, counts = average_field(designs)
-    hints = [f"{counts[row, column]} of {len(designs)} designs" for row, column in np.argwhere(counts)]
-    return Picture(stiffness_svg(mean, counts > 0, hints), f"average over {len(designs)} of the best designs")

@@ -57,9 +57,9 @@ def _marks(chosen: NDArray[np.bool_], code: int) -> str:
     return f'<path d="{strokes}" fill="{ink}"/>'
 
 
-def body_svg(body: Body, size: int = 90) -> str:
-    """Returns the picture of a body, voxels by type, `size` pixels along its longer side."""
-    unit = size / max(body.shape)
+def body_svg(body: Body) -> str:
+    """Returns the picture of a body, voxels by type, 90 pixels along its longer side."""
+    unit = 90 / max(body.shape)
     return _svg(body.cols * unit, body.rows * unit, body_shapes(body), body.text, (0, 0, body.cols, body.rows))
 
 
