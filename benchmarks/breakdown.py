@@ -17,12 +17,12 @@ import numba
 import numpy as np
 
 from evogymcm.envs import TaskEngine
-from evogymcm.sim import candidates, contact, springs
 from evogymcm.sim.constants import SUBSTEPS
+from evogymcm.sim.kernels import candidates, contact, springs
+from evogymcm.sim.kernels.vectors import aligned_zeros, on_lines
 from evogymcm.sim.scene import Layout, Terrain
 from evogymcm.sim.simulator import Simulator
 from evogymcm.sim.tables import _numpy_unpacker
-from evogymcm.sim.vectors import aligned_zeros, on_lines
 
 STANDARD_BODY = "HHHHH/HHHHH/HH.HH/VV.VV/VV.VV"
 _N, _WORLDS, _ROOM = 200, 8, 5000  # calls at a time; worlds; candidates and contacts

@@ -29,6 +29,11 @@ ROOMS = (
 )
 MODULES = {"evogymcm.envs": ("evogymcm.envs.voxels",)}  # whose text is worth showing, without their members
 INTRODUCTION = """\
+---
+search:
+  boost: 0.5  # guides come first
+---
+
 # API
 
 Every public name has one path, that of its room below; the modules where they are defined are private. Names are loaded

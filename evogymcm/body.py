@@ -175,17 +175,17 @@ class Body:
 
 
 def as_body(spec: "Body | str | os.PathLike[str] | Sequence[str] | ArrayLike") -> Body:
-    """Returns the body meant by a Body, cell codes, text rows, the name of one of `robots`, or a file.
+    """Returns a body from a Body, cell codes, text rows, the name of one of `robots`, or a file.
 
     A file is a path object, or a text that ends with one of these:
 
     - `.npz`: as EvoGym saves robots, `arr_0` the cell codes and `arr_1`, where there is one, the connections;
     - `.npy`: the cell codes;
     - `.txt`: rows of codes, with or without blanks or commas between them, or rows of `. R S H V`;
-    - `.json`: of the EvoGym Design Tool, a robot or a world that holds one.
+    - `.json`: a robot, or a world with one, saved by the EvoGym Design Tool.
 
     Raises:
-        ValueError: A name is unknown, a file cannot be read, or what is described is not a valid body.
+        ValueError: A name is unknown, a file cannot be read, or the result would not be a valid body.
     """
     if isinstance(spec, Body):
         return spec
@@ -209,7 +209,7 @@ def is_body_file(spec: object) -> "TypeGuard[str | os.PathLike[str]]":
 
 
 def is_body_text(text: str) -> bool:
-    """Returns whether a text is made of cells, in one row or in several, and so is no name and no path."""
+    """Returns whether a text consists of cells, in one row or several, and so is neither a name nor a path."""
     cells = set("".join(text.split())) - {"/"}
     return cells <= set(BODY_CHARS) or cells <= set(_DIGITS)
 
@@ -269,16 +269,17 @@ def _as_rng(rng: np.random.Generator | int) -> np.random.Generator:
 def sample_body(
     shape: tuple[int, int], rng: np.random.Generator | int, weights: Sequence[float] = SAMPLE_WEIGHTS
 ) -> Body:
-    """Returns a random valid body: all cells are drawn independently, again and again until valid (EvoGym).
+    """Returns a random valid body: all cells are drawn independently, repeatedly until valid (as in EvoGym).
 
     Args:
         shape: Rows and columns.
-        rng: Source of randomness, or a seed for one of its own.
+        rng: Random generator, or a seed for a new one.
         weights: Relative frequencies of the codes 0 to 4.
 
+
     Raises:
-        ValueError: The weights are not five numbers >= 0 with one above 0 for an actuator, so many draws were
-            invalid that these weights will hardly ever give a body of this shape, or `rng` is neither.
+        ValueError: The weights are not five numbers >= 0 with one above 0 for an actuator, `rng` is neither a generator
+            nor a seed, or no valid body was found in very many draws.
     """
     rng = _as_rng(rng)
     if len(shape) != 2 or min(shape) < 1:
@@ -298,21 +299,21 @@ def mutate_body(
     attempts: int = 50,
     weights: Sequence[float] = SAMPLE_WEIGHTS,
 ) -> Body | None:
-    """Returns a mutated body with full connections, or None where no attempt was valid (EvoGym).
+    """Returns a mutated body with full connections, or None if no attempt was valid (as in EvoGym).
 
-    Each attempt draws each cell anew with probability `rate`, possibly to the value that it had. Attempts
+    Each attempt redraws each cell with probability `rate`; it may get its old value again. Attempts
     accumulate, as in EvoGym: after an invalid one, the next mutates the invalid grid further.
 
     Args:
         body: The parent, in any form that `as_body` takes.
-        rng: Source of randomness, or a seed for one of its own.
-        rate: Probability that a cell is drawn anew in an attempt.
+        rng: Random generator, or a seed for a new one.
+        rate: Probability that a cell is redrawn in an attempt.
         attempts: Largest number of attempts.
-        weights: Relative frequencies of the codes 0 to 4 among cells drawn anew.
+        weights: Relative frequencies of the codes 0 to 4 among redrawn cells.
 
     Raises:
-        ValueError: The rate is not a probability, there is no attempt, the weights or `rng` are none of
-            `sample_body`, or the parent is no valid body.
+        ValueError: The rate is not a probability, `attempts` is below 1, the weights or `rng` are not as for
+            `sample_body`, or the parent is not a valid body.
     """
     if not 0.0 <= rate <= 1.0 or attempts < 1:
         raise ValueError(f"got rate={rate}, attempts={attempts}; expected a rate from 0 to 1, at least 1 attempt")

@@ -19,22 +19,21 @@ _SHOWN = ("flat", "features", "reward", "score", "returns", "length", "terminate
 
 
 def check_task(task: str | Task, body: BodySpec = "HVH/S.R", *, steps: int = 8, seed: int = 0) -> None:
-    """Raises where a task has one of the mistakes that show late otherwise, or as wrong numbers.
+    """Raises an error for mistakes in a task that would otherwise show late, or only as wrong numbers.
 
-    Checked are its fields (time limit, spawn place, names of objects, windows and observations); that what its methods
-    return has one row a world, in numbers that are finite; that episodes draw from the given generator only, and the
-    same again from the same seed; that a world does the same alone as beside others, some of which start anew while it
-    goes on; and that a saved state goes on as the original. The first two are checked in part whenever an environment
-    is made.
+    It checks the task's fields (time limit, spawn place, names of objects, windows and observations); that its methods
+    return finite numbers with one row for each world; that episodes draw from the given generator only, and equally
+    from equal seeds; that a world behaves the same alone and beside others, some of which restart in between; and that
+    a restored state continues like the original. Making an environment already checks parts of the first two.
 
     Args:
         task: A task or its id.
-        body: A body that fits in; the more of the task it meets in a few env-steps, the better.
-        steps: Env-steps, with random actions.
-        seed: Of the actions, and of what the task draws.
+        body: A body that fits into the world; the more of the task it meets in a few env-steps, the better.
+        steps: Number of env-steps, with random actions.
+        seed: Seed of the actions and of the task's random draws.
 
     Raises:
-        ValueError: With what is wrong.
+        ValueError: The task has a mistake; the message says which.
     """
     task = as_task(task)
     batch = TaskEngine(task, body, _N_WORLDS, material="reactive", num_threads=1, seed=seed)

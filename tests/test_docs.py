@@ -1,6 +1,7 @@
 """The documentation's pages: their code runs and prints what they show, and what they name exists."""
 
 import contextlib
+import importlib
 import io
 import pkgutil
 import re
@@ -18,7 +19,8 @@ ROOT = Path(__file__).resolve().parents[1]
 PAGES = {path.stem: path.read_text(encoding="utf-8") for path in sorted((ROOT / "docs").glob("*.md"))}
 FENCE = re.compile(r"^```(?P<info>.+)\n(?P<content>(?:.*\n)*?)```$", re.MULTILINE)
 OUTPUT = 'text title="Output"'
-KINDS = {"python", "sh", OUTPUT}  # python runs, sh is for a terminal
+OPTIONAL = re.compile(r'python title="Run by the tests where ([\w.]+) is installed"')
+KINDS = {"python", "sh", "bibtex", OUTPUT}  # python runs, sh is for a terminal
 SMALLER = {  # budgets of the pages, and those of the tests
     "total_steps=200_000": "total_steps=64, num_worlds=16, rollout_steps=4",
     "total_steps=50_000": "total_steps=64, num_worlds=16, rollout_steps=4",
@@ -27,16 +29,27 @@ SMALLER = {  # budgets of the pages, and those of the tests
     "total_steps=500_000, num_worlds=64": "total_steps=64, num_worlds=16, rollout_steps=4",
     "total_timesteps=100_000": "total_timesteps=512",
 }
+LONG = {"codesign", "other-libraries"}  # these take more than about ten seconds
 WHOLE = {"tasks"}  # pages that show how long an episode is; on the others those of Walker-v0 are 25 env-steps long
+
+
+def is_installed(module):
+    """Whether a module can be imported, with all that it needs."""
+    try:
+        importlib.import_module(module)
+    except ImportError:
+        return False
+    return True
 
 
 def blocks_of(page):
     """Yields the code of each Python block of a page, and the output that the page shows below it, or None."""
     fences = [(match["info"], match["content"]) for match in FENCE.finditer(PAGES[page])]
-    assert {info for info, _ in fences} <= KINDS
+    assert {info for info, _ in fences if not OPTIONAL.fullmatch(info)} <= KINDS
     for (info, code), (next_info, shown) in pairwise([*fences, ("", "")]):
         assert (info, next_info) not in {("sh", OUTPUT), (OUTPUT, OUTPUT)}
-        if info == "python":
+        optional = OPTIONAL.fullmatch(info)
+        if info == "python" or (optional and is_installed(optional[1])):
             yield code, shown if next_info == OUTPUT else None
 
 
@@ -44,9 +57,7 @@ WITH_CODE = [page for page in PAGES if list(blocks_of(page))]
 
 
 @pytest.mark.usefixtures("own_registries")
-@pytest.mark.parametrize(
-    "page", [pytest.param(page, marks=[pytest.mark.slow] * (page == "codesign")) for page in WITH_CODE]
-)
+@pytest.mark.parametrize("page", [pytest.param(page, marks=[pytest.mark.slow] * (page in LONG)) for page in WITH_CODE])
 def test_code_runs_and_prints_what_is_shown(page, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     module = types.ModuleType("page")  # dataclasses look their module up
@@ -68,9 +79,12 @@ def test_pages_with_code_are_these():
         "codesign",
         "concepts",
         "custom-tasks",
+        "from-evogym",
+        "from-jax-evogym",
         "gymnasium",
         "index",
         "learning",
+        "other-libraries",
         "pettingzoo",
         "tasks",
         "torchrl",
@@ -89,6 +103,16 @@ def test_pages_are_in_the_navigation_and_link_to_files_that_exist():
         assert f": {page}.md\n" in navigation
         for target in re.findall(r"\]\(([^)#:]+)(?:#[^)]*)?\)", text):
             assert (ROOT / "docs" / target).exists(), f"{page}: {target}"
+
+
+def test_search_works_from_disk_and_pages_load_nothing_from_elsewhere():
+    yaml = pytest.importorskip("yaml")
+    config = yaml.safe_load((ROOT / "mkdocs.yml").read_text(encoding="utf-8"))
+    plugins = [name for plugin in config["plugins"] for name in ([plugin] if isinstance(plugin, str) else plugin)]
+    assert {"search", "offline"} <= set(plugins)
+    (script,) = config["extra"]["polyfills"]
+    assert "iframe-worker" in script  # by this name the plugin knows that it need not fetch its own
+    assert (ROOT / "docs" / script).is_file()
 
 
 def test_functions_of_the_journeys_exist():

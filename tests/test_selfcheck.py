@@ -16,7 +16,7 @@ from evogymcm.testing import selfcheck
 WITHOUT_JIT = """
 import json, math
 import numpy as np
-from evogymcm.sim import springs
+from evogymcm.sim.kernels import springs
 from evogymcm.testing import selfcheck
 
 def differing():

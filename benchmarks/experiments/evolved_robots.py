@@ -1,7 +1,7 @@
 """Experiments B and C: co-design of body and control, with material and without, at equal simulated env-steps."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +22,15 @@ ARMS: Mapping[str, Mapping[str, Any]] = {  # -> what differs from the settings o
     "reactive": {"material": "reactive", "search": None},
     "invariant": {},
 }
+_BASE = CodesignConfig(
+    material="invariant",
+    search=SearchConfig(),
+    population=6,
+    budget=1000,
+    max_env_steps=600_000,
+    finetune_steps=4_096,
+    ppo=BodyPPOConfig(total_steps=25_000),
+)
 
 
 @dataclass(frozen=True)
@@ -39,13 +48,9 @@ class CodesignJob:
     def run(self, folder: Path, resume: bool, tell: Tell, should_stop: Callable[[], bool]) -> Record:
         """Searches in `folder / name` and returns all numbers of the run."""
         run = RunFolder(folder / self.name, {"label": self.arm, **asdict(self.config)}, resume=resume)
-        result = codesign(
-            self.config,
-            run=run,
-            progress=lambda state: tell(state.env_steps, state.best),
-            should_stop=should_stop,
-        )
-        record = replace(RunRecord.read(run.path), env_steps=result.env_steps).as_dict()
+        told = {"progress": lambda state: tell(state.env_steps, state.best), "should_stop": should_stop}
+        result = codesign(self.config, run=run, **told)
+        record = RunRecord.read(run.path).as_dict()
         record["best_return"] = max((row["return"] for row in result.rows), default=None)
         return record
 
@@ -64,9 +69,7 @@ class EvolvedRobots(Comparison):
         codesign: settings of each run with a search of stiffness; task, seed and arm come from the fields above.
     """  # noqa: D205
 
-    codesign: CodesignConfig = field(
-        default_factory=lambda: CodesignConfig(material="invariant", search=SearchConfig())
-    )
+    codesign: CodesignConfig = _BASE
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -141,18 +144,9 @@ class EvolvedRobots(Comparison):
 
 def _sizes(arms: tuple[str, ...], quick: str, small: tuple[str, ...]) -> Mapping[str, EvolvedRobots]:
     """Returns the three sizes with a task of the first, and tasks of the second."""
-    base = CodesignConfig(
-        population=6,
-        budget=1000,
-        max_env_steps=600_000,
-        finetune_steps=4_096,
-        material="invariant",
-        search=SearchConfig(),
-        ppo=BodyPPOConfig(total_steps=25_000),
-    )
-    shorter = replace(base, max_env_steps=150_000, ppo=BodyPPOConfig(total_steps=10_000))
+    shorter = replace(_BASE, max_env_steps=150_000, ppo=BodyPPOConfig(total_steps=10_000))
     paper = replace(
-        base,
+        _BASE,
         population=25,
         budget=PUBLISHED_BODIES,
         max_env_steps=None,
@@ -161,7 +155,7 @@ def _sizes(arms: tuple[str, ...], quick: str, small: tuple[str, ...]) -> Mapping
     )
     return {
         "quick": EvolvedRobots((quick,), arms, (0,), shorter),
-        "small": EvolvedRobots(small, arms, (0, 1, 2), base),
+        "small": EvolvedRobots(small, arms, (0, 1, 2), _BASE),
         "paper": EvolvedRobots(tuple(PAPER), arms, (0, 1, 2), paper),
     }
 

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-import torch
 
 from benchmarks.experiments import figures
 from benchmarks.experiments.experiment import Experiment, Record, Tell
@@ -16,12 +15,11 @@ from evogymcm import Body, sample_body
 from evogymcm.algos.analysis import difference, summarise
 from evogymcm.algos.codesign import BodyPPOConfig, Design, score_alone, train_designs
 from evogymcm.algos.codesign.inner_loop import MakeEnv, Policy, Trained, holding
-from evogymcm.algos.learning import PPOConfig, make_actor
-from evogymcm.algos.learning.threads import limited_threads
+from evogymcm.algos.learning import Trainer
 from evogymcm.algos.runs import RunFolder
 from evogymcm.envs import SoftRobotEnv, as_task
 
-__all__ = ["ARMS", "ORDER", "SIZES", "ArmJob", "Sharing", "untrained_policy"]
+__all__ = ["ARMS", "ORDER", "SIZES", "ArmJob", "Sharing"]
 
 SHAPE = (5, 5)
 ARMS: Mapping[str, tuple[str, str]] = {  # -> policies trained on the seen bodies, and then on the unseen ones
@@ -247,7 +245,7 @@ class ArmJob:
             return trained
 
         if self.arm == "shared":
-            fresh = untrained_policy(make_env, designs["seen"], self.experiment.ppo("shared"))
+            fresh = _untrained_policy(make_env, designs["seen"], self.experiment.ppo("shared"))
             for bodies, group in designs.items():
                 score(bodies, "untrained", [fresh] * len(group))
         first, second = ARMS[self.arm]
@@ -263,13 +261,10 @@ class ArmJob:
         return record
 
 
-def untrained_policy(make_env: MakeEnv, designs: Sequence[Design], ppo: PPOConfig) -> Policy:
+def _untrained_policy(make_env: MakeEnv, designs: Sequence[Design], ppo: BodyPPOConfig) -> Policy:
     """Returns the policy that shared training starts from."""
-    env = holding(make_env, designs)(num_worlds=len(designs), seed=ppo.seed)
-    generator = torch.Generator().manual_seed(ppo.seed)
-    with limited_threads(ppo.torch_threads):
-        actor = make_actor(env, ppo.hidden, ppo.initial_std, context=ppo.context, generator=generator)
-    return {"form": actor.form, "actor": actor.state_dict()}
+    with Trainer(holding(make_env, designs), ppo.of_bodies(len(designs))) as trainer:
+        return trainer.policy_state()
 
 
 def _training_record(rows: Sequence[Mapping[str, Any]], trained: Trained, count: int) -> Record:

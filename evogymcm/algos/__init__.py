@@ -1,4 +1,4 @@
-"""Learning, co-design, what runs leave behind, and its analysis: a room each, whose names are imported when used.
+"""Learning, co-design, stored runs and their analysis, a package each; names are imported when they are first used.
 
 The names below are those of `evogymcm.algos.learning` and `evogymcm.algos.runs` under a shorter path.
 """

@@ -50,10 +50,10 @@ class Options:
 
     Attributes:
         config: settings of the run.
-        has_search: search the survivors' stiffness fields, and fine-tune after it.
+        has_search: search the survivors' stiffness fields, then fine-tune.
         search: settings of that search.
         run: folder of the run.
-        resume: go on with the run in the folder.
+        resume: continue the run in the folder.
         overwrite: replace the run in the folder.
     """
 
@@ -135,7 +135,7 @@ def _show(bar: Bar, state: "CodesignProgress") -> None:
 
 
 def _print_best(config: CodesignConfig, result: "CodesignResult", path: Path) -> None:
-    """Prints the best design with its score, had again in a fresh world."""
+    """Prints the best design with its score, played again in a fresh world."""
     import numpy as np
 
     from evogymcm.algos.codesign import score_alone
@@ -144,7 +144,7 @@ def _print_best(config: CodesignConfig, result: "CodesignResult", path: Path) ->
     assert result.best is not None
     assert result.policy is not None
     design = result.best.design.at(config.stiffness)
-    alone = score_alone(env_maker(config), [design], [result.policy])
+    alone = score_alone(env_maker(config), [design], [result.policy], starts=config.eval_starts)
     score, ceiling = alone.score[0], alone.ceiling[0]
     bound = "" if np.isnan(ceiling) else f" of at most {ceiling:.2f} ({score / ceiling:.1%})"
     print(f"best design, number {result.best.index} (generation {result.best.generation}): {design.body.text}")
@@ -154,6 +154,9 @@ def _print_best(config: CodesignConfig, result: "CodesignResult", path: Path) ->
         print("\n".join(["stiffness:", *write_stiffness(design.field, design.body.occupancy)]))
     print(f"score   {score:.3f}{bound}: its stored policy, deterministic, in a fresh world")
     print(f"return  {alone.returns[0]:.3f}")
+    if config.eval_starts > 1:
+        hair = f"the score from {config.eval_starts} starts that differ by a hair"
+        print(f"robust  {alone.robust[0]:.3f} ± {alone.spread[0]:.3f}: {hair}")
     print(f"run     {path} ({result.env_steps:,} env-steps)")
     print(f"watch   evogymcm watch --policy {path}")
     print(f"report  evogymcm report {path}")

@@ -1,4 +1,4 @@
-"""`evogymcm report`: what run folders hold, as one HTML file."""
+"""`evogymcm report`: a report on run folders, as one HTML file."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

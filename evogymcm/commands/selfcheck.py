@@ -37,7 +37,7 @@ class Options:
 
     Attributes:
         json: print everything as one JSON object.
-        write: make this machine's bits the package's (for maintainers).
+        write: store this machine's hashes in the package (for maintainers).
     """
 
     json: bool = False

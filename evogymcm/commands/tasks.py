@@ -19,7 +19,7 @@ class Options:
     """Options of the command.
 
     Attributes:
-        long: also the world and what is observed.
+        long: also show the world and what is observed.
     """
 
     long: bool = False

@@ -35,6 +35,7 @@ examples:
   evogymcm train Walker-v0 --body Walk_Bot --total-steps 200000
   evogymcm train Walker-v0 --body HHH/V.V --stiffness 2,2,2/0.5,1,0.5
   evogymcm train Walker-v0 --body HHH/V.V --material reactive
+  evogymcm train Walker-v0 --random-bodies 5 5 --hidden 64
   evogymcm train --world terrain.json --body robot.npz
   evogymcm train Walker-v0 --body Walk_Bot --run runs/first --logger csv
   evogymcm train Walker-v0 --body Walk_Bot --run runs/first --logger csv --resume"""
@@ -45,18 +46,19 @@ class Options:
     """Options of the command.
 
     Attributes:
-        task: such as Walker-v0; `evogymcm tasks` lists them.
+        task: id of the task, such as Walker-v0; `evogymcm tasks` lists all.
         world: walk in the world of this file instead (.json of the EvoGym Design Tool, or a picture, .txt).
         body: rows of voxels (HHH/S.R), a robot's name or a file (.npz, .npy, .txt, .json); several learn side by
             side.
+        random_bodies: rows and columns of random bodies, a fresh one in every episode; evaluations use others.
         material: whether the policy sets stiffness too ("reactive"), or stiffness belongs to the body.
         stiffness: invariant only: a number, or numbers in rows like the body's (2,2,2/0.5,1,0.5); one for all bodies
             or one for each.
         edge_rule: how stiffness acts on shared edges.
         run: folder of the run.
-        resume: go on with the run in the folder.
+        resume: continue the run in the folder.
         overwrite: replace the run in the folder.
-        logger: also write every number with one of TorchRL's loggers; csv and tensorboard write into the run.
+        logger: also write every number with one of TorchRL's loggers; csv and tensorboard write into the run's folder.
         num_threads: threads of the simulator; None for all cores. Results do not depend on it.
         ppo: settings of PPO.
     """
@@ -64,6 +66,9 @@ class Options:
     task: Annotated[tyro.conf.Positional[str], arg(metavar="TASK", help_behavior_hint="(or --world)")] = ""
     world: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
     body: Annotated[tuple[str, ...], arg(metavar="BODY", help_behavior_hint="(default: the task's own robot)")] = ()
+    random_bodies: Annotated[
+        tuple[int, int] | None, arg(metavar="ROWS COLUMNS", help_behavior_hint="(default: BODY)")
+    ] = None
     material: Material = "invariant"
     stiffness: Annotated[tuple[str, ...], arg(metavar="FIELD", help_behavior_hint="(default: 1)")] = ()
     edge_rule: EdgeRule = "mean_factor"
@@ -96,15 +101,25 @@ def run(options: Options, arguments: Sequence[str]) -> int:
     if result.final is None:
         print(f"stopped after {result.env_steps:,} env-steps; to go on:\n  {how_to_resume('train', arguments)}")
         return INTERRUPTED
-    _print_result(result, config.bodies, folder.path)
+    _print_result(result, config.bodies or ("random bodies",), folder.path)
     return 0
 
 
 def _config(options: Options) -> TrainConfig:
     """Returns the settings of the run, with bodies that mean the same wherever it is looked at."""
     task = choose_task(options.task, options.world)
-    config = TrainConfig(task, options.body, options.material, edge_rule=options.edge_rule, ppo=options.ppo).resolved()
-    fields = read_stiffness(options.stiffness, config.bodies)
+    config = TrainConfig(
+        task,
+        options.body,
+        options.material,
+        edge_rule=options.edge_rule,
+        random_bodies=options.random_bodies,
+        ppo=options.ppo,
+    ).resolved()
+    is_stream = config.random_bodies is not None
+    fields = read_stiffness(options.stiffness, ["H"] if is_stream else config.bodies)
+    if fields is not None and is_stream:  # a number: what fits a single voxel
+        return replace(config, stiffness=fields[0].item())
     return config if fields is None else replace(config, stiffness=tuple(rows.tolist() for rows in fields))
 
 
@@ -129,6 +144,11 @@ def _print_result(result: "TrainResult", bodies: Sequence[str], path: Path) -> N
             print(body)
         print(f"score   {score:.3f}{bound}: the final policy, deterministic, in fresh worlds")
         print(f"return  {total:.3f}")
+        if len(final.starts) > 1:
+            robust, spread = (values[i :: len(bodies)].mean() for values in (final.robust, final.spread))
+            print(
+                f"robust  {robust:.3f} ± {spread:.3f}: the score from {len(final.starts)} starts that differ by a hair"
+            )
     evaluations = sum("score" in row for row in result.rows)
     over = " (means over the bodies)" if len(bodies) > 1 else ""
     print(f"best    {result.best_score:.3f}: the largest score of {evaluations} evaluations in training{over}")

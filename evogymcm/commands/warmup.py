@@ -1,4 +1,4 @@
-"""`evogymcm warmup`: compile the kernels and keep them on disk, so that nothing waits for it later."""
+"""`evogymcm warmup`: compile the kernels and keep them on disk, so that nothing has to wait for it later."""
 
 import time
 from collections.abc import Sequence

@@ -1,4 +1,4 @@
-"""`evogymcm watch`: robots at work, in a window or a file."""
+"""`evogymcm watch`: robots in motion, in a window or a file."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -34,20 +34,20 @@ class Options:
     """Options of the command.
 
     Attributes:
-        task: such as Walker-v0; `evogymcm tasks` lists them.
+        task: id of the task, such as Walker-v0; `evogymcm tasks` lists all.
         world: walk in the world of this file instead (.json of the EvoGym Design Tool, or a picture, .txt).
         body: rows of voxels (HHH/S.R), a robot's name or a file (.npz, .npy, .txt, .json); several stand side by side.
         material: whether the policy sets stiffness too ("reactive"), or stiffness belongs to the body.
-        stiffness: invariant only: a number, or numbers in rows like the body's (2,2,2/0.5,1,0.5); one for all bodies
-            or one for each.
+        stiffness: invariant setting only: a number, or numbers in rows like the body's (2,2,2/0.5,1,0.5); one for all
+            bodies or one for each.
         policy: folder of a training run (its last policy) or of co-design (its best design), or one of their files,
             such as policy-0003.pt (design 3).
-        out: write .mp4, .gif, or .png (the last step).
+        out: file to write: .mp4, .gif, or .png (the last step).
         steps: env-steps at most.
         every: draw every Nth env-step.
         view: what colours show.
         width: pixels across.
-        height: pixels up; of several bodies a tile keeps the aspect.
+        height: pixels up; with several bodies each tile keeps the aspect.
     """
 
     task: Annotated[tyro.conf.Positional[str], arg(metavar="TASK", help_behavior_hint="(default: the policy's)")] = ""

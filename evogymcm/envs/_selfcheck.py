@@ -22,9 +22,9 @@ from evogymcm.body import as_body
 from evogymcm.envs.core import TaskEngine
 from evogymcm.envs.task import Task
 from evogymcm.envs.tasks import own_tasks
-from evogymcm.sim._jit import kernel
 from evogymcm.sim.constants import ACTUATION_HIGH, ACTUATION_LOW, FIXED, SOFT, STIFFNESS_HIGH, STIFFNESS_LOW, Physics
-from evogymcm.sim.readings import ORIENTATION
+from evogymcm.sim.kernels._jit import kernel
+from evogymcm.sim.kernels.readings import ORIENTATION
 from evogymcm.sim.simulator import Simulator
 from evogymcm.sim.world import ROBOT, World, WorldObject
 

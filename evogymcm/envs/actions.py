@@ -4,8 +4,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from evogymcm.sim._jit import kernel
 from evogymcm.sim.constants import MISSING
+from evogymcm.sim.kernels._jit import kernel
 
 if TYPE_CHECKING:
     from evogymcm.envs.core import TaskEngine

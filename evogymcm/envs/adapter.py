@@ -24,17 +24,17 @@ class Adapter:
 
     @property
     def bodies(self) -> tuple[Body, ...]:
-        """The body of each world; under a stream the present ones."""
+        """The body of each world; with a stream the current ones."""
         return self.engine.bodies
 
     @property
     def num_designs(self) -> int:
-        """How many bodies were given; world w holds number w modulo this. N under a stream."""
+        """How many bodies were given; world w holds number w modulo this. N with a stream."""
         return self.engine.num_designs
 
     @property
     def changes_bodies(self) -> bool:
-        """Whether bodies come from a stream: worlds get another one when they are reset."""
+        """Whether bodies come from a stream, so that worlds get a new one at each reset."""
         return self.engine.changes_bodies
 
     @property

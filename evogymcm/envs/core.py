@@ -3,11 +3,13 @@
 Arrays are indexed by world and by cell of the padded grid (V cells, bodies in the upper left corner).
 """
 
+import copy
 from collections.abc import Mapping, Sequence
 from typing import Any, Unpack
 
 import numpy as np
 
+from evogymcm._settings import check_count
 from evogymcm.body import Body
 from evogymcm.envs import checks
 from evogymcm.envs.actions import checked_action
@@ -16,6 +18,7 @@ from evogymcm.envs.episodes import Episodes
 from evogymcm.envs.lineup import Lineup
 from evogymcm.envs.observed import Observed
 from evogymcm.envs.options import EngineOptions, as_physics, complete, lists_options
+from evogymcm.envs.starts import Starts
 from evogymcm.envs.states import checked_arrays, checked_part
 from evogymcm.envs.streams import BodySource, BodyStream, pack_bodies
 from evogymcm.envs.task import Task
@@ -29,13 +32,13 @@ class TaskEngine(Observed, Episodes):
 
     Args:
         task: A task or its id.
-        bodies: A body or a list of bodies (anything that `as_body` takes), dealt to the worlds in turn. Or a stream, of
-            which a world gets the next body at each reset: `draw(rng)`, called with a generator that is the world's
-            own and made from its seed, or an iterator, which cannot be seeded or saved. In the invariant setting a
-            stream may give (body, stiffness).
-        num_worlds: N; as many as bodies by default, 1 under a stream.
+        bodies: A body or a list of bodies (anything that `as_body` takes), dealt to the worlds in turn. Or a stream,
+            from which a world gets a new body at each reset: `draw(rng)`, called with the world's own generator, which
+            is made from its seed, or an iterator, which cannot be seeded or saved. In the invariant setting a stream
+            may return (body, stiffness).
+        num_worlds: N; as many as bodies by default, 1 with a stream.
         with_voxels: Whether to observe voxels (`self.voxels`).
-        with_flat: Whether to form the flat observation, where all bodies are equal.
+        with_flat: Whether to compute the flat observation, which exists if all bodies are equal.
         options: material, stiffness, edge_rule, physics, num_threads, grid_shape and seed, as all environments take
             them: see `EngineOptions`.
 
@@ -47,15 +50,15 @@ class TaskEngine(Observed, Episodes):
         features: (N, G) COM velocity, sine and cosine of the orientation, and the task's own global parts.
         reward, terminated, truncated, unstable: (N,) of the last step.
         reached: (N,) bool, whether the last step ended the episode at a goal, see `Task.endings`.
-        score: (N,) the sum of the episode's rewards but the last (the paper's score, once the episode has ended).
-        returns: (N,) the sum of all of them.
+        score: (N,) the sum of the episode's rewards without the last (the paper's score, once the episode has ended).
+        returns: (N,) the sum of all rewards of the episode.
         length: (N,) env-steps of the episode.
-        num_designs: How many bodies were given: world w holds design w modulo this. N under a stream.
+        num_designs: How many bodies were given: world w holds design w modulo this. N with a stream.
 
     Raises:
         ValueError: For an unknown task, material or edge rule, a body that is invalid or does not fit, a stiffness
-            that is not finite, out of range, of another shape, or given in the reactive setting, and a task with
-            mistakes, see `evogymcm.testing.check_task`. A reset raises it where a stream gives such a body, or ends.
+            that is not finite, out of range, of the wrong shape, or given in the reactive setting, and a task with
+            mistakes, see `evogymcm.testing.check_task`. A reset raises it if a stream returns such a body, or ends.
     """
 
     @lists_options
@@ -74,6 +77,7 @@ class TaskEngine(Observed, Episodes):
         lineup = Lineup(bodies, num_worlds, chosen)
         self._stream, self.num_designs = lineup.stream, lineup.num_designs
         self._start = Start(task)
+        self._starts: Starts | None = None
         Episodes.__init__(self, task, lineup.num_worlds)
         self.set_seed(chosen["seed"])
         dealt, fields = lineup.deal()
@@ -131,6 +135,8 @@ class TaskEngine(Observed, Episodes):
         has_changed = self._stream is not None and self._go_on(self._stream, chosen)
         self._draw(chosen)
         self.simulator.reset(chosen, self.memory["offset"] if self.task.moves_at_reset else None)
+        if self._starts is not None:
+            self._starts.move(self.simulator, np.flatnonzero(chosen).tolist())
         self.actuation[chosen] = 1.0
         if self.material == "reactive":
             self.stiffness[chosen] = 1.0
@@ -142,16 +148,16 @@ class TaskEngine(Observed, Episodes):
             self.score_ceiling = np.where(chosen, self._ceiling(), self.score_ceiling)
 
     def step(self, actuation: np.ndarray, stiffness: np.ndarray | None = None, mask: np.ndarray | None = None) -> None:
-        """Advances the worlds by one env-step; what comes of it is in the attributes.
+        """Advances the worlds by one env-step; the results are in the attributes.
 
         Args:
             actuation: (N, V) actuation, clipped to [0.6, 1.6]; cells without an actuator have no effect.
             stiffness: (N, V) stiffness, clipped to [0.5, 2]: needed in the reactive setting, not allowed otherwise.
-            mask: (N,) bool, the worlds to advance; all by default. The others keep everything, and nothing is asked of
-                their actions.
+            mask: (N,) bool, the worlds to advance; all by default. The others stay as they are, and their
+                actions are not checked.
 
         Raises:
-            ValueError: For another shape, or NaN at a voxel that uses the number.
+            ValueError: For a wrong shape, or NaN at a voxel that uses the number.
         """
         actuators, occupancy = self.actuators, self.occupancy
         if mask is not None:
@@ -192,18 +198,40 @@ class TaskEngine(Observed, Episodes):
     def set_seed(self, seed: int | Sequence[int | None] | None) -> None:
         """Seeds random resets and streams: one seed a world, or one for the first, from which the others count up.
 
-        None draws from the operating system. Nothing happens before the next reset.
+        None takes a seed from the operating system. It takes effect at the next reset.
         """
         seeds = checks.checked_seeds(seed, self.num_worlds)
         self._seed(seeds)
         if self._stream is not None:
             self._stream.set_seed(seeds)
 
+    def set_starts(self, starts: int, seed: int = 0) -> None:
+        """Makes the worlds n = N / starts worlds several times over, from starts that differ by a hair.
+
+        World w is world w % n from start w // n, and draws what that one draws. Start 0 is the exact one; in the others
+        each point of the robot is moved by normal noise of 1e-6 metres, which the seed and the start's number say.
+        Nothing happens before the next reset. It is no part of the state, and 1 undoes it.
+
+        Raises:
+            ValueError: The worlds are no such repetition, or get their bodies from a stream.
+        """
+        n, rest = divmod(self.num_worlds, check_count("starts", starts))
+        if starts > 1 and self._stream is not None:
+            raise ValueError(f"starts: got {starts}, under a stream of bodies no two worlds are the same (1)")
+        if starts > 1 and (rest or n % self.num_designs):
+            raise ValueError(
+                f"starts: got {starts}, which does not share {self.num_worlds} worlds into equal parts, "
+                f"each with all of {self.num_designs} designs equally often"
+            )
+        self._starts = Starts(np.arange(self.num_worlds) // n, seed) if starts > 1 else None
+        for world in range(n, self.num_worlds) if starts > 1 else ():
+            self._rngs[world] = copy.deepcopy(self._rngs[world % n])
+
     def state(self) -> dict[str, Any]:
         """Returns a copy of everything that a step or a reset can change, for `set_state`.
 
         Raises:
-            ValueError: Bodies come from an iterator, whose place cannot be saved.
+            ValueError: Bodies come from an iterator, whose position cannot be saved.
         """
         stream = {}
         if self._stream is not None:
@@ -221,10 +249,10 @@ class TaskEngine(Observed, Episodes):
         )
 
     def set_state(self, state: Mapping[str, Any]) -> None:
-        """Takes up a state of an engine made with the same arguments.
+        """Restores a state of an engine that was made with the same arguments.
 
         Raises:
-            ValueError: It is of another engine; then nothing has changed.
+            ValueError: It belongs to another engine; then nothing has changed.
         """
         checked = self._checked(state)
         checked |= checked_arrays(state, {"actuation": self.actuation, "stiffness": self.stiffness})

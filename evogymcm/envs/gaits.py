@@ -1,4 +1,4 @@
-"""A simple gait, to see robots move that have no policy."""
+"""A simple gait, to see robots move without a policy."""
 
 import numpy as np
 
@@ -9,10 +9,9 @@ def sine_gait(env: object, period: float = 25.0, amplitude: float = 0.5) -> tupl
     """Returns actions for `TaskEngine.step`: waves that run through the body, by which many bodies walk.
 
     Args:
-        env: The environment, or its engine, whose next step it is; the phase follows the env-steps of each world's
-            episode.
+        env: The environment to act in, or its engine; the phase follows the env-steps of each world's episode.
         period: Env-steps of a cycle.
-        amplitude: Of the actuation, about its neutral value 1.
+        amplitude: How far the actuation swings to each side of its neutral value 1.
 
     Returns:
         (N, V) actuation, and (N, V) stiffness (a wave from 0.5 to 2) in the reactive setting, else None.

@@ -47,12 +47,12 @@ def _single_spaces(engine: TaskEngine) -> tuple[spaces.Box, spaces.Box]:
 class GymnasiumEnv(Described, Rendered, WorldReadings, gymnasium.Env[np.ndarray, np.ndarray]):
     """One world of one task.
 
-    It truncates nothing by itself: `gymnasium.make` puts a `TimeLimit` around it, of `max_episode_steps` or, where none
-    are given, of the task's `time_limit`.
+    It truncates nothing by itself: `gymnasium.make` puts it in a `TimeLimit` wrapper, with `max_episode_steps` or else
+    the task's `time_limit`.
 
-    `info` holds NumPy values: `com` (2,), `unstable`, `reached` (whether the episode ended at a goal), `score` (the
-    episode's rewards but the last), `return` (all of them); and `physics`, the constants that differ from the
-    benchmark's, where some do.
+    `info` holds NumPy values: `com` (2,), `unstable`, `reached` (whether the episode ended at a goal), `score` (the sum
+    of the episode's rewards without the last), `return` (the sum of all); and `physics`, the constants that differ from
+    the benchmark's, if any.
 
     Args:
         task: A task or its id.
@@ -66,7 +66,7 @@ class GymnasiumEnv(Described, Rendered, WorldReadings, gymnasium.Env[np.ndarray,
             `WorldOptions`.
 
     Raises:
-        ValueError: For bad arguments, as `TaskEngine`; in a step for NaN or another number of values.
+        ValueError: For bad arguments, as `TaskEngine`; in a step for NaN or a wrong number of values.
     """
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array", "human", "img", "screen"], "render_fps": FPS}
@@ -133,7 +133,7 @@ class GymnasiumEnv(Described, Rendered, WorldReadings, gymnasium.Env[np.ndarray,
 class GymnasiumVectorEnv(Described, PerWorld, VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     """Many worlds of one task, stepped together; bodies must be equal.
 
-    `info` holds what it holds for `GymnasiumEnv`, with a row for each world.
+    `info` has the entries of `GymnasiumEnv`, with a row for each world.
 
     Args:
         task: A task or its id.
@@ -142,7 +142,7 @@ class GymnasiumVectorEnv(Described, PerWorld, VectorEnv[np.ndarray, np.ndarray, 
         connections: (2, k) joined pairs of the one body.
         autoreset_mode: NEXT_STEP (the step after an end resets), SAME_STEP (ended worlds reset at once; the last
             observation and info are in `info`), or DISABLED (the caller resets with `options={"reset_mask": mask}`).
-        max_episode_steps: Env-steps after which an episode is cut; -1: none is. The task's `time_limit` by default.
+        max_episode_steps: Env-steps after which an episode is cut; -1 for no limit. The task's `time_limit` by default.
         render_mode: "rgb_array" or "img" (`render` returns a tuple of pictures, one a world), or None.
         render_options: As for `GymnasiumEnv`.
         options: material, stiffness, edge_rule, physics, num_threads and grid_shape, as all environments take them: see

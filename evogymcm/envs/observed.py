@@ -1,4 +1,4 @@
-"""What is observed of an engine's worlds: of their bodies, of each voxel, and of the robot as a whole."""
+"""Observations of an engine's worlds: of their bodies, of each voxel, and of the robot as a whole."""
 
 from collections.abc import Iterable, Sequence
 
@@ -53,7 +53,7 @@ class Observed:
 
     @property
     def changes_bodies(self) -> bool:
-        """Whether bodies come from a stream: worlds get another one when they are reset."""
+        """Whether bodies come from a stream, so that worlds get a new one at each reset."""
         return self._stream is not None
 
     def _describe(self, worlds: Iterable[int]) -> None:
@@ -83,7 +83,7 @@ class Observed:
 
     @property
     def snapshot(self) -> Snapshot:
-        """The present readings. They are overwritten by the step after the next."""
+        """The current readings. They are overwritten by the step after the next."""
         return self._reader.now
 
     @property

@@ -19,15 +19,16 @@ class WorldOptions(TypedDict, total=False):
     Attributes:
         material: "invariant" (stiffness belongs to the body; the default) or "reactive" (stiffness is part of every
             action).
-        stiffness: Invariant only: a field in [0.5, 2] of the body's shape, or one for each body, in a list that may
-            hold None or an array (n, rows, cols). None, the default, is 1 everywhere: plain EvoGym. A stream of bodies
-            gives it with each body.
+        stiffness: Invariant setting only: a field in [0.5, 2] of the body's shape, or one for each body, as a list
+            (None for a body without one) or as an array (n, rows, cols). None, the default, is 1 everywhere: plain
+            EvoGym. A stream of bodies returns it with each body.
         edge_rule: How stiffness acts on shared edges: "mean_factor" (the paper's equation; the default) or
             "mean_stiffness" (the reference code of the invariant setting), see `evogymcm.sim.Scenery`.
-        physics: Constants, or those that differ from the benchmark's, by name; the benchmark's by default.
-        num_threads: Threads of the simulator, which change no number; all cores by default.
-        grid_shape: (rows, columns) of the padded grid; the smallest that holds all bodies by default. A stream needs
-            it, and a larger one leaves room for later bodies.
+        physics: Constants of the simulator, or a mapping of those that differ from the benchmark's; the benchmark's by
+            default.
+        num_threads: Threads of the simulator, without effect on any result; all cores by default.
+        grid_shape: (rows, columns) of the padded grid; the smallest that holds all bodies by default. Required
+            with a stream; a larger grid leaves room for later bodies.
     """
 
     material: str
@@ -41,11 +42,11 @@ class WorldOptions(TypedDict, total=False):
 class EngineOptions(WorldOptions, total=False):
     """Options that `TaskEngine` and its environments take by name.
 
-    Those of Gymnasium take all but the seed, which belongs to their `reset`.
+    Gymnasium's environments take all but the seed, which they take in `reset`.
 
     Attributes:
-        seed: For tasks with random resets and for streams, until another is set: one for each world, or a number from
-            which they count up (0 by default). None draws from the operating system.
+        seed: Seed of random resets and of streams: one for each world, or the first, from which the others count up (0
+            by default). None takes seeds from the operating system.
     """
 
     seed: int | Sequence[int | None] | None

@@ -27,21 +27,21 @@ _RANGES = {"actuation": (ACTUATION_LOW, ACTUATION_HIGH), "stiffness": (STIFFNESS
 class BodiesParallelEnv(Adapter, Rendered, ParallelEnv[str, Observation, Action]):
     """P bodies as agents `body_0` ..., each in its own world of one task.
 
-    A body that ends leaves `agents` in that step, and its world is simulated no further; the others go on. Bodies are
+    A body that ends leaves `agents` in that step, and its world is no longer simulated; the others continue. Bodies are
     padded to one grid of V cells, each in the upper left corner. Numbers in cells without an actuator (actuation) or
     voxel (stiffness) have no effect.
 
     Each agent observes a dict of `voxels` (V, F) float32 and `types` (V, 5) uint8 (see `evogymcm.envs.voxels`),
     `occupancy` and `actuators` (V,) int8, and `task` (G,) float32: COM velocity, sine and cosine of the orientation,
     the task's own global observations. It acts with a dict of `actuation` (V,) in [0.6, 1.6] and, in the reactive
-    setting, `stiffness` (V,) in [0.5, 2]. Its `info` holds the numbers `score` (the episode's rewards but the last),
-    `return` (all of them), `unstable`, `reached` (a goal), and `com_x` and `com_y` in metres.
+    setting, `stiffness` (V,) in [0.5, 2]. Its `info` holds the numbers `score` (the sum of the episode's rewards
+    without the last), `return` (the sum of all), `unstable`, `reached` (a goal), and `com_x` and `com_y` in metres.
 
-    With `flat=True` observations and actions are float32 vectors instead, for what knows no dicts: the same parts in
-    the order of `gymnasium.spaces.flatten`, by name: `actuators`, `occupancy`, `task`, `types`, `voxels`; `actuation`,
-    `stiffness`.
+    With `flat=True` observations and actions are float32 vectors instead, for libraries that cannot handle dicts: the
+    same parts in the order of `gymnasium.spaces.flatten`, by name: `actuators`, `occupancy`, `task`, `types`, `voxels`;
+    `actuation`, `stiffness`.
 
-    `reset(options={"bodies": [...], "stiffness": [...]})` takes new designs, from then on: as many as before, within
+    `reset(options={"bodies": [...], "stiffness": [...]})` changes the designs from then on: as many as before, within
     the padded grid. Other options are ignored.
 
     Args:
@@ -54,7 +54,7 @@ class BodiesParallelEnv(Adapter, Rendered, ParallelEnv[str, Observation, Action]
             them: see `EngineOptions`. The padded grid stays as it is when bodies change.
 
     Attributes:
-        np_random: The generator that `seed` makes, for new designs that come without a seed, and for wrappers.
+        np_random: The generator made from `seed`, for new designs that come without a seed, and for wrappers.
 
     Raises:
         ValueError: For bad arguments, as `TaskEngine`, and in `reset` for designs that do not fit the spaces; in a step
@@ -163,9 +163,9 @@ class BodiesParallelEnv(Adapter, Rendered, ParallelEnv[str, Observation, Action]
         """Starts new episodes of all bodies, with new designs where `options` names them.
 
         Args:
-            seed: For tasks with random resets; None goes on with the present random numbers.
-            options: `bodies`: new bodies, as many as before. `stiffness`: their fields, or new ones of the present
-                bodies; None (also where only bodies are given) is 1 everywhere.
+            seed: Seed for tasks with random resets; None continues with the current random numbers.
+            options: `bodies`: new bodies, as many as before. `stiffness`: their fields, or new ones for the current
+                bodies; None (also if only bodies are given) is 1 everywhere.
 
         Returns:
             Observations and infos of all agents.
@@ -193,7 +193,7 @@ class BodiesParallelEnv(Adapter, Rendered, ParallelEnv[str, Observation, Action]
         """Advances the worlds of all agents in `agents` by one env-step.
 
         Args:
-            actions: One of each agent in `agents`; others are ignored.
+            actions: One for each agent in `agents`; others are ignored.
 
         Returns:
             Observations, rewards, terminations, truncations and infos of these agents.

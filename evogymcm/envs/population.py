@@ -26,14 +26,14 @@ class PopulationEnv(Adapter, EnvBase):
     """P bodies as agents of one environment, each in its own world: same keys as `SoftRobotEnv`, under a group.
 
     `("bodies", "voxels")` is [P, V, F], `("bodies", "action", "actuation")` [P, V], `("bodies", "reward")` [P, 1]. Done
-    flags exist in the group only, so every body ends and restarts alone, and no body waits for another. All bodies
+    flags exist in the group only, so every body ends and restarts by itself, and no body waits for another. All bodies
     always act; `occupancy` and `actuators` mask the cells that a body does not have.
 
     Of TorchRL's transforms, `RewardSum` must stand before `StepCounter`: by itself, `StepCounter` (0.14) declares the
     group without its agent dimension, and collectors then fail.
 
-    Under a stream of bodies an agent stays when it restarts, and its body is the next one. Copies are then populations
-    of their own, with other bodies.
+    With a stream of bodies, an agent that restarts gets a new body. Copies are then separate populations, with
+    different bodies.
 
     Args:
         task: A task or its id.
@@ -42,7 +42,7 @@ class PopulationEnv(Adapter, EnvBase):
         device: Where tensors go; the simulator runs on the CPU.
         group_map: Which agents (`body_0` ...) form which group, or one of TorchRL's ready maps. By default all are in
             the one group `bodies`.
-        num_bodies: P; needed under a stream.
+        num_bodies: P; required with a stream.
         options: material, stiffness, edge_rule, physics, num_threads, grid_shape and seed, as all environments take
             them: see `EngineOptions`.
 
@@ -52,7 +52,8 @@ class PopulationEnv(Adapter, EnvBase):
         group_map: The names of each group's agents.
 
     Raises:
-        ValueError: For bad arguments and actions, as `SoftRobotEnv`, and for groups that do not hold every agent once.
+        ValueError: For bad arguments and actions, as `SoftRobotEnv`, and for groups in which an agent is missing or
+            occurs twice.
     """
 
     _has_frame_skip = True  # 30 substeps an env-step are ours, not a transform's
@@ -123,7 +124,7 @@ class PopulationEnv(Adapter, EnvBase):
 
     @property
     def bodies(self) -> tuple[Body, ...]:
-        """The P bodies; under a stream the present ones, of the first copy."""
+        """The P bodies; with a stream the current ones, of the first copy."""
         return self.worlds.bodies[: self.num_bodies]
 
     @property
@@ -200,7 +201,7 @@ class PopulationEnv(Adapter, EnvBase):
         return self.worlds.get_extra_state()
 
     def set_extra_state(self, state: dict[str, Any]) -> None:
-        """Takes up a state of an environment made with the same arguments: a rollout goes on, or is forked, exactly."""
+        """Restores a state of an environment made with the same arguments: a rollout continues exactly."""
         self.worlds.set_extra_state(state)
 
 

@@ -7,9 +7,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from evogymcm.envs.task import Snapshot, Task, Window
-from evogymcm.sim._jit import entry
 from evogymcm.sim.constants import VOXEL
-from evogymcm.sim.readings import N_SCRATCH, new_readings, read_object, read_voxels, read_window
+from evogymcm.sim.kernels._jit import entry
+from evogymcm.sim.kernels.readings import N_SCRATCH, new_readings, read_object, read_voxels, read_window
 from evogymcm.sim.simulator import Simulator
 
 _NOTHING: Mapping[str, np.ndarray] = {}

@@ -21,8 +21,8 @@ except ImportError as error:  # the module can be read without, as all others
 class SB3VecEnv(VecEnv):
     """Many worlds of one task, stepped together by one simulator in this process; bodies must be equal.
 
-    A world that ends starts anew at once. Its `info` then holds `terminal_observation`, and `episode` as from SB3's
-    `Monitor`, so that no `VecMonitor` is needed. In every step `info` holds what it holds for `GymnasiumEnv`, and
+    A world that ends is reset at once. Its `info` then holds `terminal_observation`, and `episode` as from SB3's
+    `Monitor`, so that no `VecMonitor` is needed. In every step `info` has the entries of `GymnasiumEnv`, and
     `TimeLimit.truncated`. Methods and attributes of a world (`env_method`, `get_attr`) are those of `GymnasiumEnv`.
 
     Args:
@@ -99,7 +99,7 @@ class SB3VecEnv(VecEnv):
         return [row | {"physics": dict(changed)} for row in rows] if changed else rows
 
     def close(self) -> None:
-        """Frees what the worlds hold."""
+        """Frees the worlds' resources."""
         self.envs.close()
 
     def get_images(self) -> Sequence[np.ndarray | None]:
@@ -120,7 +120,7 @@ class SB3VecEnv(VecEnv):
         return [method(*method_args, **method_kwargs) for method in self.get_attr(method_name, indices)]
 
     def env_is_wrapped(self, wrapper_class: type, indices: Any = None) -> list[bool]:
-        """Returns whether each world is in that wrapper: in none, but `info` holds what `Monitor` would put there."""
+        """Returns whether each world has that wrapper: none has, except that `info` has the entries of a `Monitor`."""
         return [wrapper_class is Monitor for _ in self._get_indices(indices)]
 
 

@@ -1,4 +1,4 @@
-"""What a task is: a world, what is observed and rewarded, and when an episode ends.
+"""Tasks: a world, what is observed and rewarded in it, and when an episode ends.
 
 A task is a frozen dataclass whose fields hold every number. It works on all worlds at once: every array has one row a
 world. The engine (`core.py`) owns what all tasks share: actions, the penalty for instability, the time limit, resets.
@@ -13,7 +13,7 @@ import numpy as np
 from evogymcm.sim.world import World
 
 if TYPE_CHECKING:  # the package registers its tasks at import, and must not load numba for it
-    from evogymcm.sim.readings import Readings
+    from evogymcm.sim.kernels.readings import Readings
 
 
 # Which worlds end, (N,) bool; what that adds to the reward; and whether it is a goal, see `Task.endings`.
@@ -37,7 +37,7 @@ class Snapshot:
         objects: Readings of the objects that the task names in `watches`.
         floor: (N, columns) the floor window, metres.
         ceiling: (N, columns) the ceiling window, metres.
-        memory: What the task drew for the episodes, and has changed since; arrays with N rows.
+        memory: What the task drew for the episodes or has remembered since; arrays with N rows.
     """
 
     robot: "Readings"
@@ -73,14 +73,14 @@ class Task:
         world: Its world, or the name of one of `evogymcm.sim.world_names()`.
         spawn: World cell of the lower-left cell of the body array.
         time_limit: Env-steps after which an episode is cut.
-        observes: Parts of the flat observation, in order, by their names in `observation_parts`. Those of a watched
-            object also go by its name, as in "offset:package"; without one they are those of the first.
+        observes: Parts of the flat observation, in order, by their names in `observation_parts`. Parts of a
+            watched object may name it, as in "offset:package"; without a name they refer to the first.
         floor: The window under the robot, where it is observed.
         ceiling: The window over the robot, where it is observed.
         reads_hull: Whether the reward needs the hull's area.
         watches: Objects other than the robot that the task reads.
         moves_at_reset: Objects that each episode places anew, by the "offset" (2 voxels) that `draw` returns.
-        about: What it asks for, in a few words, for tables of tasks.
+        about: What to do, in a few words, for tables of tasks.
     """
 
     id: str
@@ -110,7 +110,7 @@ class Task:
     def endings(self, after: Snapshot) -> Iterator[Ending]:
         """Yields what ends an episode: a condition, (N,) bool, what it adds to the reward, and whether it is a goal.
 
-        The last may be left out: what adds more than 0 is a goal then, and all else a failure.
+        The third may be left out: an ending that adds more than 0 is then a goal, and any other a failure.
         """
         return iter(())
 

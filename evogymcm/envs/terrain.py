@@ -1,4 +1,4 @@
-"""Walking in worlds of one's own: a task made of nothing but a world."""
+"""Walking in worlds of your own: a task made from a world alone."""
 
 import os
 from pathlib import Path
@@ -27,18 +27,18 @@ def walking_task(
 ) -> Walking:
     """Returns the task to walk to the right in a world.
 
-    The goal is a cell before the right end of the world's objects, and brings a bonus of 1; falling out of the world
-    costs 3. Either ends the episode, and so do 500 env-steps.
+    The goal is one cell before the right end of the world's objects and gives a bonus of 1; falling out of the world
+    costs 3. Both end the episode, which lasts 500 env-steps at most.
 
     Args:
-        world: The world, the name of one of the package, or a file, see `World.load`. A robot in it is taken out.
-        spawn: World cell of the lower-left cell of the body array. By default where the world's own robot stands, else
+        world: The world, the name of one of the package, or a file, see `World.load`. A robot in it is removed.
+        spawn: World cell of the lower-left cell of the body array. By default where the world's own robot stands, or
             in column 1, at the lowest height with a voxel right below and room above.
         room: Rows and columns that must be free there.
         fields: Other fields of `Walking`: id, time_limit, observes, floor, ceiling, gain, goal_x, goal_bonus and so on.
 
     Raises:
-        ValueError: The world cannot be read, or has no such place.
+        ValueError: The world cannot be read, or has no room for the robot.
     """
     name = "Walking" if isinstance(world, World) else Path(world).stem
     world = world if isinstance(world, World) else World.load(world)

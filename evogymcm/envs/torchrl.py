@@ -24,11 +24,11 @@ from evogymcm.sim.constants import ACTUATION_HIGH, ACTUATION_LOW, STIFFNESS_HIGH
 class SoftRobotEnv(Adapter, EnvBase):
     """N worlds of one task as one batched environment, for any mix of bodies.
 
-    TorchRL, and so the import of this class, makes "spawn" the start method of the process where none was set before.
+    Importing TorchRL, and so this class, sets the process's start method to "spawn" if none was set before.
 
     Bodies are padded to the largest grid, V cells, each in the upper left corner; `occupancy` and `actuators` say which
     cells count. Numbers in other cells of an action are ignored. With TorchRL's `"_step"` ([N] bool) beside the action,
-    the worlds where it is false are not simulated and keep everything, with a reward of 0.
+    worlds where it is false are not simulated and do not change; their reward is 0.
 
     | key | shape | what |
     | --- | --- | --- |
@@ -46,16 +46,16 @@ class SoftRobotEnv(Adapter, EnvBase):
 
     Args:
         task: A task or its id.
-        bodies: A body or a list of bodies; dealt to the worlds in turn. Or a stream, of which a world gets the next
-            body at each reset: `draw(rng)` or an iterator, see `TaskEngine`.
-        num_worlds: N; as many as bodies by default, 1 under a stream.
+        bodies: A body or a list of bodies, dealt to the worlds in turn. Or a stream, from which a world gets a new body
+            at each reset: `draw(rng)` or an iterator, see `TaskEngine`.
+        num_worlds: N; as many as bodies by default, 1 with a stream.
         device: Where tensors go; the simulator runs on the CPU.
         options: material, stiffness, edge_rule, physics, num_threads, grid_shape and seed, as all environments take
             them: see `EngineOptions`.
 
     Raises:
-        ValueError: For bad arguments, as `TaskEngine`; in a step for an action that is not made of these keys, or has
-            another shape or NaN.
+        ValueError: For bad arguments, as `TaskEngine`; in a step for an action without these keys, of a wrong shape or
+            with NaN.
     """
 
     _has_frame_skip = True  # 30 substeps an env-step are ours, not a transform's
@@ -184,12 +184,12 @@ class SoftRobotEnv(Adapter, EnvBase):
         """Returns everything that a step can change, as tensors, for `set_extra_state`.
 
         Raises:
-            ValueError: Bodies come from an iterator, whose place cannot be saved.
+            ValueError: Bodies come from an iterator, whose position cannot be saved.
         """
         return to_tensors(self.engine.state())
 
     def set_extra_state(self, state: dict[str, Any]) -> None:
-        """Takes up a state of an environment made with the same arguments: a rollout goes on, or is forked, exactly."""
+        """Restores a state of an environment made with the same arguments: a rollout continues exactly."""
         self.engine.set_state(to_arrays(state))
 
 

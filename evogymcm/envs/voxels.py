@@ -4,20 +4,20 @@ Types of a voxel: the type codes (those of a body's grid) of itself and of its c
 and left; 0 for none. They stay the same in an episode.
 
 Features, in order: the positions of its corners relative to the COM (8: x of TL, TR, BL, BR, then y; metres), their
-velocities relative to the COM's (8), its present stiffness, its last actuation, and its place in its own body array (2:
-row and column, from -1 to 1). Cells without a voxel hold zeros.
+velocities relative to the COM's (8), its current stiffness, its last actuation, and its place in its own body array (2:
+row and column, from -1 to 1). Cells without a voxel contain zeros.
 """
 
 import numpy as np
 
 from evogymcm.body import H_ACT, V_ACT
-from evogymcm.sim._jit import kernel
-from evogymcm.sim.readings import ACTUATION as ACTUATION
-from evogymcm.sim.readings import N_FEATURES as N_FEATURES
-from evogymcm.sim.readings import PLACE as PLACE
-from evogymcm.sim.readings import POSITIONS as POSITIONS
-from evogymcm.sim.readings import STIFFNESS as STIFFNESS
-from evogymcm.sim.readings import VELOCITIES as VELOCITIES
+from evogymcm.sim.kernels._jit import kernel
+from evogymcm.sim.kernels.readings import ACTUATION as ACTUATION
+from evogymcm.sim.kernels.readings import N_FEATURES as N_FEATURES
+from evogymcm.sim.kernels.readings import PLACE as PLACE
+from evogymcm.sim.kernels.readings import POSITIONS as POSITIONS
+from evogymcm.sim.kernels.readings import STIFFNESS as STIFFNESS
+from evogymcm.sim.kernels.readings import VELOCITIES as VELOCITIES
 
 N_TYPES = 5  # codes of a body's grid, empty included
 # Rows and columns to the neighbours above, right, below, left, in the order of a voxel's sides.

@@ -1,4 +1,4 @@
-"""What EvoGym's environments can be asked of one world, by EvoGym's names, in metres."""
+"""The methods of EvoGym's environments for one world, by EvoGym's names, in metres."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -7,7 +7,15 @@ import numpy as np
 
 from evogymcm.envs.core import TaskEngine
 from evogymcm.sim.constants import VOXEL
-from evogymcm.sim.readings import CENTRE, N_SCRATCH, ORIENTATION, VELOCITY, WINDOW_REACH, new_readings, read_object
+from evogymcm.sim.kernels.readings import (
+    CENTRE,
+    N_SCRATCH,
+    ORIENTATION,
+    VELOCITY,
+    WINDOW_REACH,
+    new_readings,
+    read_object,
+)
 from evogymcm.sim.world import ROBOT
 
 _INSTEAD = {
@@ -21,8 +29,9 @@ _INSTEAD = {
 class WorldReadings:
     """Readings of one world of an engine.
 
-    Times are env-steps of the episode, and only the present one, `get_time()`, can be asked for: what is needed of an
-    earlier one is read then. What has EvoGym's name is rounded as there; `points` and `velocities` are the simulator's.
+    Times are env-steps of the episode, and only the current one, `get_time()`, is available: read earlier ones when
+    they are current. Methods with EvoGym's names round as EvoGym does; `points` and `velocities` are the simulator's
+    numbers.
 
     Args:
         engine: The task engine.
@@ -52,12 +61,12 @@ class WorldReadings:
         return int(self.engine.length[self._world])
 
     def object_pos_at_time(self, time: int, object_name: str) -> np.ndarray:
-        """Returns (2, n) positions of an object's points; ValueError for another time than the present."""
+        """Returns (2, n) positions of an object's points; ValueError unless `time` is the current one."""
         self._check_time(time)
         return self.points(object_name) / VOXEL * VOXEL
 
     def object_vel_at_time(self, time: int, object_name: str) -> np.ndarray:
-        """Returns (2, n) velocities of an object's points; ValueError for another time than the present."""
+        """Returns (2, n) velocities of an object's points; ValueError unless `time` is the current one."""
         self._check_time(time)
         return self.velocities(object_name) / VOXEL * VOXEL
 
@@ -102,7 +111,7 @@ class WorldReadings:
             object_name: The object in the middle.
             terrain_list: The objects that count as terrain.
             sight_dist: Columns to each side.
-            sight_range: Voxels that it sees down: a column without terrain reads this far.
+            sight_range: How many voxels down it sees; this is the value of a column without terrain.
         """
         return self._look(object_name, terrain_list, sight_dist, sight_range, is_ceiling=False)
 

@@ -1,4 +1,4 @@
-"""Reports: what one or several run folders hold, as one HTML file that needs no network. Needs `evogymcm[report]`."""
+"""Reports on one or several run folders, as one HTML file that needs no network. Needs `evogymcm[report]`."""
 
 from evogymcm.report.page import make_report, write_report
 

@@ -29,8 +29,8 @@ def write_report(
     Raises:
         FileExistsError: The file exists, and `overwrite` is not set.
         ImportError: A package of the extra `report` is missing.
-        ValueError: A folder is missing, holds no run, or one of its files cannot be read; or the file's name does not
-            end in .html, or its folder does not exist.
+        ValueError: A run's folder is missing, holds no run, or has a file that cannot be read; or the file's name does
+            not end in .html, or its folder does not exist.
     """
     out = Path(out)
     write_page(prepare([Path(run) for run in runs], out, overwrite=overwrite), out, animations=animations)

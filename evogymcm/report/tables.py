@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from evogymcm.algos.analysis import Summary, resample, summarise
-from evogymcm.algos.runs.record import NOT_RECORDED, Kind, RunRecord
+from evogymcm.algos.runs.record import NOT_RECORDED, Kind, Row, RunRecord
 from evogymcm.report.parts import Table
 from evogymcm.report.sources import Arm, Source
 
@@ -97,6 +97,7 @@ def training_scores(arms: Sequence[Arm], caption: str) -> Table:
     """Returns the scores of trained policies: the last policy's, and apart from it the best evaluation of training."""
     head = ["task", "arm", "seeds", "env-steps", "untrained", "final score", "95 % interval", "of ceiling"]
     head += ["best of training", "95 % interval", "final return"]
+    is_robust = any((run.final or {}).get("robust_score") is not None for arm in arms for run in arm.runs)
     is_compared = any(arm.paper for arm in arms)
     rows = []
     for task in tasks_of(arms, "train"):
@@ -104,8 +105,10 @@ def training_scores(arms: Sequence[Arm], caption: str) -> Table:
             runs = arm.of(task, "train")
             if runs:
                 row = _training_row(task, arm, runs)
+                row += [_robust([run.final for run in runs if run.finished])] if is_robust else []
                 rows.append([*row, _paper(arm, task)] if is_compared else row)
-    head = [*head, "paper"] if is_compared else head
+    head += ["robust score"] if is_robust else []
+    head += ["paper"] if is_compared else []
     return Table("Scores", head, rows, caption, numeric=frozenset(range(2, len(head))))
 
 
@@ -140,6 +143,12 @@ def _text(summary: Summary | None) -> str:
     return str(summary) if summary else ""
 
 
+def _robust(told: Sequence[Row | None]) -> str:
+    """Returns the mean robust score ± the mean spread over starts, where all rows tell them."""
+    parts = [_summary((row or {}).get(name) for row in told) for name in ("robust_score", "spread")]
+    return " ± ".join(f"{part.mean:z.2f}" for part in parts if part)
+
+
 def _range(values: Sequence[int]) -> str:
     low, high = min(values), max(values)
     return f"{low:,}" if low == high else f"{low:,} to {high:,}"
@@ -156,13 +165,16 @@ def codesign_scores(arms: Sequence[Arm], caption: str) -> Table:
     """Returns the best scores of co-design, compared where the shortest run of a task ended."""
     head = ["task", "arm", "seeds", "compared at env-steps", "bodies trained", "best score", "95 % interval"]
     head += ["of each seed", "best at the end"]
+    is_robust = any((run.best or {}).get("robust_score") is not None for arm in arms for run in arm.runs)
     rows = []
     for task in tasks_of(arms, "codesign"):
         end = min(run.curve[-1][0] for arm in arms for run in arm.of(task, "codesign"))
         for arm in arms:
             runs = arm.of(task, "codesign")
             if runs:
-                rows.append(_codesign_row(task, arm, runs, end))
+                row = _codesign_row(task, arm, runs, end)
+                rows.append([*row, _robust([run.best for run in runs])] if is_robust else row)
+    head += ["robust score"] if is_robust else []
     return Table("Best scores", head, rows, caption, numeric=frozenset(range(2, len(head))))
 
 

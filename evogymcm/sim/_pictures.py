@@ -26,7 +26,7 @@ def load_prefab(name: str) -> Grid:
     """Returns the cells of a prefab, int8 of shape (rows, cols).
 
     Raises:
-        ValueError: There is none of that name.
+        ValueError: There is no prefab of that name.
     """
     return grid_from_rows(_read(PREFAB_DIR, name).split())
 

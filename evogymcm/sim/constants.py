@@ -54,7 +54,7 @@ class PhysicsValues(NamedTuple):
 
 @dataclass(frozen=True)
 class Physics:
-    """Constants that a simulator may be given; the defaults are the benchmark's.
+    """Constants of a simulator; the defaults are the benchmark's.
 
     Attributes:
         substep: Integration step, in simulator time.
@@ -70,7 +70,7 @@ class Physics:
         friction_gain: Friction gain of contact between voxels.
 
     Raises:
-        ValueError: Where a value is not finite, or negative, or the substep is not positive.
+        ValueError: A value is not finite or is negative, or the substep is not positive.
     """
 
     substep: float = 1e-4

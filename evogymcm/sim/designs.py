@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 
 from evogymcm.sim.constants import Physics
+from evogymcm.sim.kernels.vectors import aligned_zeros, on_lines
 from evogymcm.sim.scene import Scene, Scenery
 from evogymcm.sim.tables import pack
-from evogymcm.sim.vectors import aligned_zeros, on_lines
 from evogymcm.sim.world import WorldObject
 
 Objects = tuple[WorldObject, ...]  # the robot first, then the others in simulation order

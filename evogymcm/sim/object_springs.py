@@ -5,8 +5,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from evogymcm.sim._jit import kernel
 from evogymcm.sim.constants import FIXED, MISSING, RIGID, VOXEL
+from evogymcm.sim.kernels._jit import kernel
 from evogymcm.sim.topology import CACHED, Topology
 
 

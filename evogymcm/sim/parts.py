@@ -5,14 +5,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from evogymcm.sim._jit import kernel
 from evogymcm.sim.constants import FIXED, MISSING, RIGID
+from evogymcm.sim.kernels._jit import kernel
+from evogymcm.sim.kernels.springs import FIRST_FORCE, NO_FORCE, slot_of
+from evogymcm.sim.kernels.trees import Tree, build_tree
+from evogymcm.sim.kernels.vectors import LANE_SLOTS
 from evogymcm.sim.object_springs import ObjectSprings, object_springs
-from evogymcm.sim.springs import FIRST_FORCE, NO_FORCE, slot_of
 from evogymcm.sim.tables import Layout
 from evogymcm.sim.topology import Topology, topology
-from evogymcm.sim.trees import Tree, build_tree
-from evogymcm.sim.vectors import LANE_SLOTS
 from evogymcm.sim.world import WorldObject
 
 _SLOTS = np.argsort(LANE_SLOTS)  # which spring is in each slot

@@ -15,7 +15,7 @@ import numpy as np
 
 from evogymcm._settings import EdgeRule
 from evogymcm.sim.constants import MISSING, Physics
-from evogymcm.sim.contact_order import join_trees, put_first
+from evogymcm.sim.kernels.contact_order import join_trees, put_first
 from evogymcm.sim.parts import Fixed, PlacedObject, Sizes, object_tables, uses_of
 from evogymcm.sim.tables import Layout, Terrain
 from evogymcm.sim.world import WorldObject
@@ -52,15 +52,15 @@ def _joined(one: Layout, other: Layout) -> Layout:
 
 
 class Scenery:
-    """The objects of a world other than the robot, of which each robot makes a `Scene`.
+    """The objects of a world other than the robot; with a robot they make a `Scene`.
 
     Args:
         others: The objects in simulation order.
         edge_rule: "mean_factor" (k = mean of the owners' S times the edge's constant; the EvoGymCM paper's equation) or
             "mean_stiffness" (k = mean over owners of S times the owner's own type's constant, in every object; the
             reference code of the invariant setting).
-        placed_at_reset: Objects whose place each reset may choose, for each world apart: all their points are state,
-            also where they are fixed.
+        placed_at_reset: Objects that a reset may move, in each world separately: all their points are state, even fixed
+            ones.
         physics: Constants.
 
     Raises:

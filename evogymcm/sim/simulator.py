@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from evogymcm.sim._jit import announce_compilation, entry
 from evogymcm.sim._threads import Threads
-from evogymcm.sim.advance import Room, Scratch, advance, new_scratch, set_stiffness
 from evogymcm.sim.constants import SUBSTEPS, Physics
 from evogymcm.sim.designs import Objects
+from evogymcm.sim.kernels._jit import announce_compilation, entry
+from evogymcm.sim.kernels.advance import Room, Scratch, advance, new_scratch, set_stiffness
 from evogymcm.sim.scene import Scene
 from evogymcm.sim.worlds import Worlds
 
@@ -18,8 +18,8 @@ from evogymcm.sim.worlds import Worlds
 class Simulator(Worlds):
     """Many voxel worlds that advance together; arrays in, arrays out, indexed by world.
 
-    Each world is a job of its own: its result depends neither on the others nor on the number of threads, to the last
-    bit, and worlds of different robots cost no more than equal ones.
+    Each world is simulated by itself: to the last bit its result depends neither on the others nor on the number of
+    threads, and worlds with different robots cost no more than equal ones.
 
     Args:
         worlds: For each world its placed objects, the robot first.
@@ -103,9 +103,9 @@ class Simulator(Worlds):
 
         Args:
             actuation: (N, V) target lengths relative to rest, float64; used as they are, at cells with an actuator.
-            stiffness: (N, V) stiffness factors, float64, or None to keep the present ones.
+            stiffness: (N, V) stiffness factors, float64, or None to keep the current ones.
             mask: (N,) bool, the worlds to advance; all by default.
-            then: Called with (m,) worlds, and the number of the thread that has advanced them, in this thread.
+            then: Called in each thread, with the (m,) worlds that it has advanced and the number of the thread.
 
         Returns:
             (N,) bool, the worlds that became unstable: these are in the state from before the step.
@@ -177,7 +177,7 @@ class Simulator(Worlds):
         return np.flatnonzero(mask)
 
     def close(self) -> None:
-        """Ends the threads. A later step starts them again, so that nothing is lost by closing too early."""
+        """Ends the threads. A later step starts them again."""
         self._threads.close()
 
     def __getstate__(self) -> dict[str, Any]:

@@ -16,7 +16,7 @@ from numba.core import cgutils, config
 from numba.extending import intrinsic
 from numba.np.arrayobj import populate_array
 
-from evogymcm.sim.vectors import on_lines
+from evogymcm.sim.kernels.vectors import on_lines
 
 # Columns of `objects`: places of its points (with those that fill up), its moving points, its moving surface voxels.
 FIRST_POINT, END_POINT, FIRST_CELL, END_CELL, N_OBJECT_COLUMNS = range(5)

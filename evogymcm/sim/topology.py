@@ -10,15 +10,15 @@ from functools import lru_cache
 import numpy as np
 
 from evogymcm.sim.constants import DIAGONAL_CONSTANT, EDGE_CONSTANT, MISSING, N_CODES, VOXEL
-from evogymcm.sim.numbering import BL as BL
-from evogymcm.sim.numbering import BOTTOM as BOTTOM
-from evogymcm.sim.numbering import BR as BR
-from evogymcm.sim.numbering import LEFT as LEFT
-from evogymcm.sim.numbering import RIGHT as RIGHT
-from evogymcm.sim.numbering import TL as TL
-from evogymcm.sim.numbering import TOP as TOP
-from evogymcm.sim.numbering import TR as TR
-from evogymcm.sim.numbering import count, join, link, number, place
+from evogymcm.sim.kernels.numbering import BL as BL
+from evogymcm.sim.kernels.numbering import BOTTOM as BOTTOM
+from evogymcm.sim.kernels.numbering import BR as BR
+from evogymcm.sim.kernels.numbering import LEFT as LEFT
+from evogymcm.sim.kernels.numbering import RIGHT as RIGHT
+from evogymcm.sim.kernels.numbering import TL as TL
+from evogymcm.sim.kernels.numbering import TOP as TOP
+from evogymcm.sim.kernels.numbering import TR as TR
+from evogymcm.sim.kernels.numbering import count, join, link, number, place
 
 CACHED = 512  # topologies kept: those of the worlds and of a population, but not of all bodies that a search makes
 

@@ -178,14 +178,14 @@ class World:
 
     @classmethod
     def load(cls, source: str | os.PathLike[str]) -> "World":
-        """Returns a world that comes with the package, see `world_names`, or that of a file.
+        """Returns a world that comes with the package, see `world_names`, or one read from a file.
 
         Args:
             source: A name; or a path object, or a text that ends with `.json` (of the EvoGym Design Tool, see
                 `from_design_tool`) or `.txt` (see `from_picture`).
 
         Raises:
-            ValueError: There is none, or it cannot be read.
+            ValueError: There is no such world or file, or it cannot be read.
         """
         if not is_world_file(source):
             return cls.from_picture(load_picture(str(source)))
@@ -201,7 +201,7 @@ class World:
 
     @classmethod
     def from_picture(cls, text: str, name: str = "ground") -> "World":
-        """Returns the world drawn in a text.
+        """Returns the world that a text draws.
 
         A picture is rows of cells (`.` empty, `R` rigid, `S` soft, `H` and `V` actuators, `F` fixed), top row first.
         Where it has no headers, it is one object at the origin. Otherwise each object has a header and then its
@@ -232,7 +232,7 @@ class World:
         """Returns the text that `from_picture` turns into this world.
 
         Raises:
-            ValueError: An object has other connections than all of them, which a picture cannot show.
+            ValueError: Some neighbours in an object are not joined, which a picture cannot show.
         """
         lines = [f"size {self.width} {self.height}"]
         for obj in self.objects:
@@ -250,8 +250,8 @@ class World:
 
         Args:
             source: The JSON file's path or its parsed content: `grid_width` and `objects`, each of which has `indices`
-                (y * grid_width + x, y up), `types` (cell codes) and `neighbors` (index to the list of joined indices;
-                where absent, all side-adjacent voxels are joined).
+                (y * grid_width + x, y up), `types` (cell codes) and `neighbors` (a list of joined indices for each
+                index; if absent, all side-adjacent voxels are joined).
 
         Raises:
             ValueError: Something is missing, indices or types are out of range, or the objects do not fit together.

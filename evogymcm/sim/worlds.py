@@ -6,13 +6,13 @@ from typing import Any
 
 import numpy as np
 
-from evogymcm.sim.advance import Room, Storage
 from evogymcm.sim.constants import Physics
 from evogymcm.sim.designs import Designs, Objects
+from evogymcm.sim.kernels.advance import Room, Storage
+from evogymcm.sim.kernels.vectors import aligned_zeros, on_lines
 from evogymcm.sim.parts import PlacedObject
 from evogymcm.sim.scene import Scene
 from evogymcm.sim.tables import END_CELL, FIRST_CELL
-from evogymcm.sim.vectors import aligned_zeros, on_lines
 from evogymcm.sim.world import WorldObject
 
 _LISTED = 4  # candidates, for each surface voxel, that a list has room for at first
@@ -22,7 +22,7 @@ _CONSTANTS, _FACTORS, _GOALS = range(3)  # of springs
 
 
 class Worlds:
-    """What a `Simulator` knows of its worlds; arguments as there.
+    """The memory of a `Simulator`, with the same arguments.
 
     Raises:
         ValueError: For no worlds, a grid too small, or an unknown edge rule.
@@ -128,7 +128,7 @@ class Worlds:
         return self._scene(world).objects
 
     def object(self, name: str, world: int = 0) -> PlacedObject:
-        """Returns an object of a world; ValueError where it has none of that name."""
+        """Returns an object of a world by name; ValueError if there is none."""
         return self._scene(world).object(name)
 
     def set_robot(self, robot: WorldObject, world: int) -> None:
@@ -203,8 +203,17 @@ class Worlds:
             :, :, is_moving
         ].transpose(0, 2, 1)
 
-    def move(self, name: str, offset: tuple[float, float], world: int) -> None:
-        """Shifts an object that has no fixed voxel by (x, y) metres, without giving it a velocity."""
+    def move(self, name: str, offset: tuple[float, float] | np.ndarray, world: int) -> None:
+        """Shifts an object that has no fixed voxel, or each of its points, without giving it a velocity.
+
+        Args:
+            name: Of the object.
+            offset: (x, y) metres, or (n, 2) for its n points.
+            world: The world.
+
+        Raises:
+            ValueError: It has fixed voxels, or there is no such object.
+        """
         placed = self.object(name, world)
         if placed.topology.is_fixed.any():
             raise ValueError(f"move: {name!r} has fixed voxels")
@@ -216,14 +225,14 @@ class Worlds:
         return [self._offsets.copy(), *rows]
 
     def set_state(self, state: Sequence[np.ndarray], robots: Sequence[WorldObject] | None = None) -> None:
-        """Takes up the state that `state` returned, of a simulator made with the same arguments.
+        """Restores a state from `state`, of a simulator made with the same arguments.
 
         Args:
             state: The state.
-            robots: The robot that each world had; the present ones by default.
+            robots: The robot that each world had; the current ones by default.
 
         Raises:
-            ValueError: It is another simulator's, or of a release that kept states otherwise; then nothing has changed.
+            ValueError: It belongs to another simulator, or to a release with another format; then nothing has changed.
         """
         offsets, *rows = [np.asarray(part, np.float64) for part in state] or [np.zeros(0)]
         fits = offsets.shape == self._offsets.shape and len(rows) == self.n_worlds

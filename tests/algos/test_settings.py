@@ -19,7 +19,19 @@ from evogymcm.algos.codesign import (
 )
 
 CONFIGS = (PPOConfig(), BodyPPOConfig(), SearchConfig(), CodesignConfig())
-TEXTS = {"network", "context", "sharing", "acceptance", "noise", "proposal", "task", "material", "method", "edge_rule"}
+TEXTS = {
+    "selection",
+    "network",
+    "context",
+    "sharing",
+    "acceptance",
+    "noise",
+    "proposal",
+    "task",
+    "material",
+    "method",
+    "edge_rule",
+}
 FLAGS = {"decay_learning_rate", "inherit"}
 GROUPS = {"schedule", "shape", "weights", "rungs", "keep", "search", "ppo"}
 OPTIONAL = {"hidden", "eval_worlds", "search", "max_env_steps", "inherit_std", "finetune_steps", "num_threads"}

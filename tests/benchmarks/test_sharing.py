@@ -1,16 +1,15 @@
 """The sharing benchmark: equal budgets, warm starts, exact resuming, paired intervals; a tiny run from end to end."""
 
 from dataclasses import replace
-from functools import partial
 
 import pytest
 import torch
 
 from benchmarks.experiments import sharing
 from benchmarks.experiments.sharing import Sharing
-from evogymcm.algos import RunFolder, Trainer, take_state
-from evogymcm.algos.codesign.inner_loop import holding
-from evogymcm.envs import SoftRobotEnv, tasks
+from evogymcm.algos.learning import take_state
+from evogymcm.algos.runs import RunFolder
+from evogymcm.envs import tasks
 
 SHORT = replace(tasks.as_task("Walker-v0"), time_limit=6)
 
@@ -78,7 +77,7 @@ def whole(tmp_path_factory):
 def test_fine_tuning_starts_from_the_shared_weights(whole):
     folder, record, told, given = whole
     assert given["shared"] is None
-    last = RunFolder(folder / "shared" / "shared", {"policy": "shared"}, resume=True).load("final")["actor"]
+    last = RunFolder.open(folder / "shared" / "shared").load("final")["actor"]
     assert len(given["independent"]) == 2
     assert all(torch.equal(policy["actor"][key], last[key]) for policy in given["independent"] for key in last)
     assert {bodies: set(scores) for bodies, scores in record["scores"].items()} == {
@@ -100,19 +99,6 @@ def test_both_arms_have_the_same_budget(tmp_path):
     assert told[-1][0] == experiment.steps_per_run == 480
     assert all(len(scores) == 2 for record in (shared, independent) for scores in record["scores"]["unseen"].values())
     assert shared["scores"]["seen"]["shared"] != independent["scores"]["seen"]["independent"]
-
-
-def test_the_untrained_policy_is_where_shared_training_starts():
-    experiment = tiny()
-    make_env = partial(SoftRobotEnv, experiment.task, material=experiment.material, num_threads=1)
-    designs = experiment.designs()["seen"]
-    ppo = experiment.ppo("shared")
-    fresh = sharing.untrained_policy(make_env, designs, ppo)["actor"]
-    config = replace(ppo, num_worlds=len(designs) * ppo.num_worlds)
-    trainer = Trainer(holding(make_env, designs), config)
-    start = trainer.actor.state_dict()
-    assert start.keys() == fresh.keys()
-    assert all(torch.equal(start[key], fresh[key]) for key in fresh)
 
 
 @pytest.mark.usefixtures("short_episodes")

@@ -54,6 +54,17 @@ def test_a_run_from_end_to_end(sprint, capsys, tmp_path):
     assert "evogymcm report runs/Sprint-v0-invariant-seed0" in out
 
 
+def test_random_bodies_of_one_stiffness_learn_and_others_are_scored(sprint, capsys, tmp_path):
+    command = ["train", sprint, "--random-bodies", "3", "2", "--material", "invariant", "--eval-worlds", "3", *TINY]
+    assert "stiffness" in refused(capsys, *command, "--stiffness", "1,1/1,1/1,1")
+    assert main([*command, "--stiffness", "0.5", "--run", "random"]) == 0
+    out = capsys.readouterr().out
+    config = json.loads((tmp_path / "random" / "config.json").read_text())
+    assert (config["bodies"], config["random_bodies"], config["stiffness"]) == ([], [3, 2], 0.5)
+    result = json.loads((tmp_path / "random" / "result.json").read_text())
+    assert number(out, "score") == pytest.approx(result["final"]["score"], abs=6e-4)
+
+
 def test_an_existing_run_is_refused_resumed_or_replaced(sprint, capsys, tmp_path):
     command = ["train", sprint, "--body", BODY, *TINY, "--run", "first"]
     assert main(command) == 0

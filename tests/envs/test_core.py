@@ -6,9 +6,9 @@ import pickle
 import numpy as np
 import pytest
 
-from evogymcm.sim.advance import advance
 from evogymcm.sim.constants import Physics
-from evogymcm.sim.readings import read_object, read_voxels, read_window
+from evogymcm.sim.kernels.advance import advance
+from evogymcm.sim.kernels.readings import read_object, read_voxels, read_window
 from tests.envs.tools import (
     MATERIALS,
     PAPER_ROBOTS,

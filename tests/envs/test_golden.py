@@ -12,7 +12,7 @@ import pytest
 import evogymcm as cm
 from evogymcm.envs import Snapshot
 from evogymcm.envs.tasks import own_tasks
-from evogymcm.sim.readings import new_readings
+from evogymcm.sim.kernels.readings import new_readings
 from tests.envs.tools import PAPER_TASKS
 from tests.golden import DATA, SAME_LIBRARY, parity
 

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from evogymcm.sim.readings import CENTRE, N_NUMBERS, N_SCRATCH, new_readings, read_object, read_window
+from evogymcm.sim.kernels.readings import CENTRE, N_NUMBERS, N_SCRATCH, new_readings, read_object, read_window
 from tests.envs.tools import (
     PAPER_ROBOTS,
     TALL,

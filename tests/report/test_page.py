@@ -11,11 +11,13 @@ import pytest
 import torch
 
 from evogymcm.__main__ import main
+from evogymcm.algos import RunRecord
 from evogymcm.algos.learning.threads import exploration
 from evogymcm.report import make_report, write_report
 from evogymcm.report.animations import animate, choose_scenes, gif_uri
 from evogymcm.report.figures import curves
-from evogymcm.report.sources import make_arms, read_source
+from evogymcm.report.sources import Arm, make_arms, read_source
+from evogymcm.report.tables import codesign_scores, training_scores
 from tests.commands.tools import refused
 
 HEADINGS = re.compile(r"<h2>(.*?)</h2>")
@@ -99,6 +101,21 @@ def test_best_score_of_co_design_is_a_mean_of_steps(evolved):
     assert named["invariant, mean of 2 seeds"].x[-1] == last
     scores = [next(best for steps, best in sorted(points.items(), reverse=True) if steps <= last) for points in ends]
     assert named["invariant, mean of 2 seeds"].y[-1] == pytest.approx(np.mean(scores))
+
+
+def test_robust_scores_stand_beside_the_papers_where_there_are_some():
+    final = {"score": 2.0, "return": 3.0, "robust_score": 1.5, "spread": 0.25}
+    told = {"kind": "train", "task": "Walker-v0", "finished": True, "curve": [[0, 0.0], [64, 2.0]], "final": final}
+    best = {"index": 0, "fitness": 1.5, "robust_score": 1.75, "spread": 0.5}
+    evolved = {"kind": "codesign", "task": "Walker-v0", "curve": [[64, 1.5]], "best": best}
+    runs = [RunRecord.from_dict(row) for row in (told, {**told, "label": "plain", "final": {"score": 2.0}}, evolved)]
+    arms = [Arm(run.label, "", (run,), {}) for run in runs]
+    table = training_scores(arms, "")
+    at = table.head.index("robust score")
+    assert [row[at] for row in table.rows] == ["1.50 ± 0.25", ""]
+    table = codesign_scores(arms, "")
+    assert table.rows[0][table.head.index("robust score")] == "1.75 ± 0.50"
+    assert "robust score" not in training_scores(arms[1:2], "").head
 
 
 def test_the_same_runs_give_the_same_page(evolved):

@@ -99,7 +99,7 @@ def test_the_number_of_substeps_is_held(monkeypatch):
 
 # Limits on lengths are compiled into the kernels. With the JIT off the same kernels look them up at every call.
 LIMITS_CODE = f"""
-from evogymcm.sim import springs
+from evogymcm.sim.kernels import springs
 from tests.sim.test_springs import test_a_substep_in_the_air_is_the_twins as compare
 
 def is_noticed():

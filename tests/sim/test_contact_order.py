@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from evogymcm.sim.constants import MISSING
-from evogymcm.sim.contact_order import add_keys, find_path, join_trees, sort_keys
+from evogymcm.sim.kernels.contact_order import add_keys, find_path, join_trees, sort_keys
+from evogymcm.sim.kernels.trees import Tree, build_tree
 from evogymcm.sim.topology import BL, BR, TL, TR, topology
-from evogymcm.sim.trees import Tree, build_tree
 from tests.sim.tools import STANDARD, grid_of
 
 

@@ -4,10 +4,10 @@ import importlib.util
 
 import pytest
 
-from evogymcm.sim import _jit
+from evogymcm.sim.kernels import _jit
 
 KERNEL = """
-from evogymcm.sim._jit import kernel
+from evogymcm.sim.kernels._jit import kernel
 
 @kernel
 def double(x):

@@ -9,9 +9,9 @@ import pytest
 
 from evogymcm.body import sample_body
 from evogymcm.sim import designs
-from evogymcm.sim.readings import ORIENTATION, new_readings, read_object
+from evogymcm.sim.kernels.readings import ORIENTATION, new_readings, read_object
+from evogymcm.sim.kernels.trees import build_tree
 from evogymcm.sim.topology import CACHED
-from evogymcm.sim.trees import build_tree
 from evogymcm.sim.world import ROBOT, World, WorldObject
 from tests.sim.test_contact import assert_close, compare
 from tests.sim.test_simulator import BODIES, assert_equal_bits, random_actions, run

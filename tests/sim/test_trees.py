@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from evogymcm._grid import full_connections, grid_from_rows
-from evogymcm.sim import hash_sets
-from evogymcm.sim._jit import kernel
 from evogymcm.sim.constants import MISSING
+from evogymcm.sim.kernels import hash_sets
+from evogymcm.sim.kernels._jit import kernel
+from evogymcm.sim.kernels.trees import build_tree
 from evogymcm.sim.topology import BOTTOM, LEFT, RIGHT, TOP, topology
-from evogymcm.sim.trees import build_tree
 from tests.sim.tools import grid_of
 
 EXAMPLES = json.loads((Path(__file__).parents[1] / "data" / "trees.json").read_text())

@@ -11,9 +11,9 @@ import pytest
 from numba.core import config
 from numba.core.errors import TypingError
 
-from evogymcm.sim import vectors
-from evogymcm.sim._jit import kernel
-from evogymcm.sim.vectors import LANE_SLOTS, load, load_pair, store, store_pair
+from evogymcm.sim.kernels import vectors
+from evogymcm.sim.kernels._jit import kernel
+from evogymcm.sim.kernels.vectors import LANE_SLOTS, load, load_pair, store, store_pair
 
 SPECIAL = np.array([np.nan, -np.inf, np.inf, -0.0, 0.0, 1e-310, 2.5, -3.0])
 EDGES = np.array([0.0, 5e-324, 2.0**-1022, 1.5, 1 + 2.0**-52, 4 - 2.0**-51, 1.7976931348623157e308, np.inf, np.nan])

@@ -5,8 +5,8 @@ from typing import NamedTuple
 import numpy as np
 
 from evogymcm._grid import grid_from_rows
+from evogymcm.sim.kernels.vectors import LANE_SLOTS
 from evogymcm.sim.simulator import Simulator
-from evogymcm.sim.vectors import LANE_SLOTS
 from evogymcm.sim.world import ROBOT, World, WorldObject
 
 STANDARD = "HHHHH/HHHHH/HH.HH/VV.VV/VV.VV"

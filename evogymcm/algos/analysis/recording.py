@@ -26,7 +26,7 @@ class Recording:
         task: id of the task.
         cells: (C, 2) row and column of each voxel in the body's array.
         is_actuator: (C,) bool.
-        actuation: (T, C) target lengths as applied in each env-step, NaN for voxels that are no actuators.
+        actuation: (T, C) target lengths as applied in each env-step, NaN for voxels that are not actuators.
         stiffness: (T, C) stiffness as applied in each env-step.
         contact: (T, C) bool, whether the voxel touched the ground at the end of the env-step, see `GroundContact`.
         score: score of the episode, as `evaluate` counts it.
@@ -58,7 +58,7 @@ class GroundContact:
     The ground is the floor y = 0 and the upper sides of all objects but those that the task watches (packages). A voxel
     touches it when one of its corners is at most CONTACT_TOLERANCE above such a side or CONTACT_DEPTH below it,
     vertically, or when a corner of the ground is as near to the voxel's underside. Walls and ceilings do not count.
-    Where the world gets another robot, it is that one's voxels.
+    If the world gets another robot, it reads that robot's voxels.
 
     Args:
         env: The environment of the world, or its engine.

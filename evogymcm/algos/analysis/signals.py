@@ -1,4 +1,4 @@
-"""How actuation, stiffness and contact go together in an episode: frequencies, lags, and what precedes an impact.
+"""How actuation, stiffness and contact are related in an episode: frequencies, lags, and what precedes an impact.
 
 The EvoGymCM paper reports two things of policies that set stiffness: the stiffness of leg voxels rises just before they
 hit the ground, and a voxel's stiffness has the frequency of its actuation, at a constant shift of phase.
@@ -49,7 +49,7 @@ class VoxelSignals:
         coherence: in [0, 1] at that frequency, 1 where the lag is the same in all windows; None in short episodes.
         lag_steps: env-steps by which stiffness follows actuation where their correlation is largest, within half a
             period either way.
-        correlation: their correlation at that lag.
+        correlation: correlation of stiffness and actuation at that lag.
     """
 
     row: int
@@ -103,7 +103,7 @@ class TouchDown:
 
 @dataclass(frozen=True, eq=False)
 class Signals:
-    """Signals of an episode, voxel by voxel, and what they have in common."""
+    """Signals of an episode, voxel by voxel, and their common properties."""
 
     task: str
     score: float

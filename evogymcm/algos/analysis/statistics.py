@@ -1,4 +1,4 @@
-"""Scores over seeds and how sure they are: means, differences, chances of improvement, and curves brought together.
+"""Scores over seeds with their uncertainty: means, differences, chances of improvement, and mean curves.
 
 There is one kind of interval: the 95 % percentile-bootstrap interval with 10,000 resamples. Where several arms or tasks
 count together, seeds are resampled within each of them (strata), as in Agarwal et al., "Deep Reinforcement Learning at
@@ -49,8 +49,8 @@ class Summary:
     Attributes:
         n: number of seeds.
         mean: mean score.
-        std: standard deviation with n - 1 in the denominator; None of one seed.
-        low, high: 95 % interval of the mean; None of one seed.
+        std: standard deviation with n - 1 in the denominator; None for a single seed.
+        low, high: 95 % interval of the mean; None for a single seed.
     """
 
     n: int
@@ -65,13 +65,13 @@ class Summary:
 
     @property
     def interval(self) -> str:
-        """The interval as text, empty of one seed."""
+        """The interval as text, empty for a single seed."""
         return "" if self.low is None else f"{self.low:z.2f} to {self.high:z.2f}"
 
 
 @dataclass(frozen=True)
 class Band:
-    """A mean curve over seeds: arrays (T,), where `low` and `high` are None of one seed."""
+    """A mean curve over seeds: arrays (T,); `low` and `high` are None for a single seed."""
 
     steps: Array
     mean: Array
@@ -103,12 +103,12 @@ def _interval(resamples: Array) -> Interval:
 def bootstrap(values: ArrayLike, clusters: ArrayLike | None = None) -> tuple[Array, Array]:
     """Returns the ends of the interval of the mean over the first axis.
 
-    Of two or three values it is their whole range: the mean of a resample is the smallest value with a probability of
+    For two or three values it is their whole range: the mean of a resample is the smallest value with a probability of
     1/4 or 1/27, which is more than 2.5 %.
 
     Args:
         values: (n, ...) one row a seed.
-        clusters: (n,) names of what is drawn as one, where values depend on each other; by default each by itself.
+        clusters: (n,) names of groups of dependent values, which are drawn together; by default each value by itself.
 
     Raises:
         ValueError: There are fewer than two values, or clusters.
@@ -130,10 +130,10 @@ def bootstrap(values: ArrayLike, clusters: ArrayLike | None = None) -> tuple[Arr
 
 
 def summarise(values: Sequence[float]) -> Summary:
-    """Returns the summary of one score of each seed.
+    """Returns the summary of the scores, one for each seed.
 
     Raises:
-        ValueError: There is none.
+        ValueError: There are no scores.
     """
     n = len(values)
     if not n:
@@ -148,7 +148,7 @@ def summarise(values: Sequence[float]) -> Summary:
 def difference(control: Sequence[float], treated: Sequence[float]) -> tuple[float, Interval | None]:
     """Returns the mean of `treated` minus that of `control`, and its interval; None where an arm has a single seed.
 
-    The arms are taken as independent. Where their scores are pairs, summarise the differences of the pairs.
+    The arms are treated as independent. If their scores are pairs, summarise the differences of the pairs instead.
 
     Raises:
         ValueError: An arm has no score.

@@ -8,9 +8,10 @@ from evogymcm.algos.learning.config import PPOConfig, Sharing
 
 @dataclass(frozen=True)
 class BodyPPOConfig(PPOConfig):
-    """PPO of one body: env-steps, worlds, gradient steps and evaluations are those of each body by itself.
+    """PPO for one body: env-steps, worlds, gradient steps and evaluations apply to each body separately.
 
-    `PPOConfig` is of a whole run, whatever bodies are in it. All fields are there; these have other defaults.
+    A `PPOConfig` applies to a whole run with all its bodies. This has the same fields; the following have other
+    defaults.
 
     Attributes:
         total_steps: env-steps of one body, in all of its worlds together, rounded up to whole rollouts.
@@ -18,7 +19,7 @@ class BodyPPOConfig(PPOConfig):
         minibatch: env-steps of one body in a gradient step.
         eval_interval: env-steps of one body between evaluations; 0 for only the untrained and the final policy.
         sharing: "independent" (each body has a policy of its own) or "shared" (bodies that train together have one).
-        eval_worlds: None: each body is evaluated in one world, or 8 where the task draws at random.
+        eval_worlds: worlds in which each body is evaluated; None for one, or 8 where the task draws at random.
 
     Raises:
         ValueError: A value is of the wrong kind or out of range.
@@ -36,7 +37,7 @@ class BodyPPOConfig(PPOConfig):
             raise ValueError(f"eval_worlds: got {self.eval_worlds}, the bodies and the task say how many (None)")
 
     def of_bodies(self, count: int) -> PPOConfig:
-        """Returns the settings of the run in which so many bodies train together."""
+        """Returns the settings of a run in which so many bodies train together."""
         per_body = ("total_steps", "num_worlds", "eval_interval")
         changes = {name: count * getattr(self, name) for name in per_body}
         if self.sharing == "shared":
@@ -44,10 +45,10 @@ class BodyPPOConfig(PPOConfig):
         return PPOConfig(**asdict(self) | changes)
 
     def finetuning(self, steps: int | None = None) -> "BodyPPOConfig":
-        """Returns the settings of training a body's policy on from where its schedules ended, by itself.
+        """Returns the settings for training one body's policy further, from where its schedules ended.
 
         Args:
-            steps: env-steps of the body; None for 1 % of its training.
+            steps: env-steps; None for 1 % of the body's training.
         """
         steps = steps or max(1, self.total_steps // 100)
         return replace(

@@ -1,4 +1,4 @@
-"""The ask/tell protocol of everything that searches over bodies. Knows no simulator."""
+"""The ask/tell protocol of all searches over bodies. Knows no simulator."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -35,22 +35,22 @@ class DesignSearch(ABC):
         shape: rows and columns of the bodies.
         budget: M, how many bodies are proposed in all.
         population: P, individuals in a generation.
-        seed: where all random draws come from.
+        seed: seed of all random draws.
         mutation_rate: probability that a cell of a mutant is drawn anew, see `mutate_body`.
-        attempts: how often a valid mutant is tried for, before another parent is drawn.
+        attempts: attempts at a valid mutant before another parent is drawn.
         carries_stiffness: whether stiffness belongs to the design (the invariant setting).
         weights: relative frequencies of the codes 0 to 4 in random bodies and in cells drawn anew (EvoGym's by
             default); a larger first one gives bodies of fewer voxels.
         settings: the method's own settings, of JSON types.
 
     Attributes:
-        settings: all of them, of JSON types; a saved state is loaded only where they are equal.
+        settings: all settings, of JSON types; a saved state can be loaded only if they are equal.
         n_designs: bodies proposed so far.
-        generation: number of the generation asked for next, counted from 0: so many have been told.
+        generation: number of the next generation, counted from 0; equal to the number of those told.
 
     Raises:
-        ValueError: The shape has no cell, the budget no body or more than there can be, a number is of the wrong kind
-            or out of range, or the weights are none of `sample_body`.
+        ValueError: The shape has no cell, the budget is 0 or more than there are bodies, a number is of the wrong kind
+            or out of range, or the weights are not as for `sample_body`.
     """
 
     def __init__(
@@ -99,23 +99,23 @@ class DesignSearch(ABC):
 
     @property
     def population(self) -> list[Individual]:
-        """The present individuals: after `tell` best first, after `ask` survivors, then new ones."""
+        """The current individuals: after `tell` best first, after `ask` survivors, then new ones."""
         # Always sorted from the order of the last tell, so that ties do not depend on the order of updates.
         return list(self._population) if self._pending else sorted(self._population, key=_worst_last)
 
     @property
     def survivors(self) -> list[Individual]:
-        """Those selected by the last `tell`, best first: what `update` may improve."""
+        """The individuals selected by the last `tell`, best first; `update` may improve them."""
         return [individual for individual in self.population if individual.index in self._survivors]
 
     @property
     def parents(self) -> list[Individual]:
-        """Those whose mutants may be asked for, now or later: here the survivors."""
+        """The individuals whose mutants may be proposed, now or later: here the survivors."""
         return self.survivors
 
     @property
     def best(self) -> Individual:
-        """The individual of the largest fitness in the population, the first of equals.
+        """The individual with the largest fitness in the population, the first if several are equal.
 
         Raises:
             RuntimeError: No fitness has been told yet.
@@ -129,7 +129,7 @@ class DesignSearch(ABC):
         """Returns the individuals to be trained now, all of them new; the same ones until their fitness is told.
 
         Raises:
-            RuntimeError: The budget is used, or the shape has hardly any further body.
+            RuntimeError: The budget is used, or hardly any new body of this shape is left.
         """
         if self.is_finished:
             raise RuntimeError(f"ask: the budget of {self.budget} bodies is used")
@@ -156,7 +156,7 @@ class DesignSearch(ABC):
     def update(self, index: int, *, stiffness: ArrayLike | None = None, fitness: float | None = None) -> None:
         """Replaces a survivor's stiffness, fitness or both, after `tell` and before the next `ask`.
 
-        The survivors stay the same; the population and they are sorted anew.
+        The survivors stay the same; they and the population are sorted again.
 
         Args:
             index: number of the survivor.
@@ -165,8 +165,8 @@ class DesignSearch(ABC):
 
         Raises:
             RuntimeError: New individuals are waiting for their fitness.
-            ValueError: It is no survivor, the fitness is not finite, the field does not fit the body, or stiffness does
-                not belong to the designs of this search.
+            ValueError: It is not a survivor, the fitness is not finite, the field does not fit the body, or designs of
+                this search have no stiffness.
         """
         if self._pending:
             raise RuntimeError(f"update: the fitness of {self._pending} must be told first")
@@ -197,7 +197,7 @@ class DesignSearch(ABC):
         }
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Goes on from where `state_dict` was called: what follows is what would have followed there.
+        """Continues exactly from where `state_dict` was called.
 
         Raises:
             ValueError: The state is of a search with other settings.

@@ -25,10 +25,10 @@ class CodesignResult:
     """Outcome of a run.
 
     Attributes:
-        best: the best individual; None where the run was stopped before there was one.
+        best: the best individual; None if the run was stopped before there was one.
         policy: its policy.
         rows: the table, see `Codesign`.
-        env_steps: simulated in all.
+        env_steps: env-steps simulated in all.
         finished: False if it was stopped.
     """
 
@@ -52,14 +52,15 @@ def codesign(
 
     Args:
         config: settings of the run.
-        run: where to keep the run's record, its table, policies and checkpoints. A folder opened to resume is gone on
-            with, and so is the run of a path. None keeps everything in memory.
+        run: folder for the run's record, its table, policies and checkpoints. A run that exists at a path is resumed,
+            and so is a `RunFolder` that was opened with `resume`. None keeps everything in memory.
         progress: called after every update of a policy and every round of a search.
-        should_stop: asked as often; by default Ctrl-C stops the run after the present update.
+        should_stop: called as often; the run stops if it returns True. By default Ctrl-C stops it after the current
+            update.
 
     Raises:
-        ValueError: A run of these settings cannot start: there is no such task, or a body that fills the shape does not
-            fit into its world; nothing has been simulated then.
+        ValueError: A run with these settings cannot start: there is no such task, or a body that fills the shape does
+            not fit into its world. Nothing has been simulated then.
         ImportError: The package of the method or of the search's proposals is missing.
     """
     if run is None:

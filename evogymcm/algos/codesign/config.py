@@ -12,6 +12,7 @@ from evogymcm._settings import EdgeRule, Material, check_count, check_fields, ch
 from evogymcm.algos.codesign.body_ppo import BodyPPOConfig, check_body_ppo
 from evogymcm.algos.codesign.body_search import check_budget
 from evogymcm.algos.codesign.genetic import check_population
+from evogymcm.algos.learning.config import Selection, check_selection
 from evogymcm.algos.runs.older import of_arm
 from evogymcm.body import SAMPLE_WEIGHTS, STIFFNESS_HIGH, STIFFNESS_LOW, check_weights
 
@@ -36,8 +37,8 @@ class SearchConfig:
     """Material search, see `MaterialSearch`; the defaults are those of EvoGymCM's reference code.
 
     Attributes:
-        rounds: proposals of each survivor, one after another.
-        candidates: proposals of each survivor in a round, evaluated together.
+        rounds: rounds of proposals, one after another.
+        candidates: proposals for each survivor in a round, evaluated together.
         probability: how likely a voxel is to be changed in a proposal.
         sigma: standard deviation of its noise; with CMA-ES, the initial step in the logarithm of stiffness.
         acceptance: "reference" (gains of 2 % or more) or "paper" (any gain).
@@ -64,11 +65,11 @@ class SearchConfig:
 
 @dataclass(frozen=True)
 class HalvingSchedule:
-    """Successive halving (Jamieson and Talwalkar, 2016): all bodies train a little, the better ones go on.
+    """Successive halving (Jamieson and Talwalkar, 2016): all bodies train a little, the better ones continue.
 
     Attributes:
         rungs: shares of the full budget of training after which bodies are compared, rising, each between 0 and 1.
-        keep: share of the bodies compared at each rung that go on, each above 0 and at most 1.
+        keep: share of the bodies that continue after each rung, each above 0 and at most 1.
 
     Raises:
         ValueError: The rungs do not rise within 0 to 1, or there is not one share in (0, 1] for each.
@@ -87,7 +88,7 @@ class HalvingSchedule:
             raise ValueError(f"keep: got {self.keep}, expected {len(self.rungs)} shares, above 0 and at most 1")
 
     def count(self, rung: int, n_bodies: int) -> int:
-        """Returns how many of `n_bodies` go on after a rung: the share kept, rounded up."""
+        """Returns how many of `n_bodies` continue after a rung: the share kept, rounded up."""
         return ceil(round(self.keep[rung] * n_bodies, 9))  # rounded before: 0.07 * 100 is above 7 in floats
 
     def cost(self, n_bodies: int) -> float:
@@ -106,9 +107,9 @@ class CodesignConfig:
     Attributes:
         task: id of the task.
         material: "reactive" (policies set stiffness) or "invariant" (stiffness belongs to the design).
-        stiffness: factor of all voxels in the invariant setting; a search begins at 1.
-        search: search of the survivors' stiffness fields, with fine-tuning after it, in the invariant setting; None for
-            none.
+        stiffness: factor of all voxels in the invariant setting; a search starts from 1.
+        search: search of the survivors' stiffness fields, followed by fine-tuning, in the invariant setting; None for
+            no search.
         edge_rule: how stiffness acts on shared edges.
         shape: rows and columns of the bodies.
         method: "ga" (EvoGym's genetic algorithm), "random" search, or "qd" (a quality-diversity archive, extra).
@@ -117,26 +118,29 @@ class CodesignConfig:
         max_env_steps: simulated env-steps of all kinds after which the run ends (with the generation that it is in);
             None for no limit but the budget.
         mutation_rate: probability that a cell of a child is drawn anew.
-        attempts: how often a valid mutant is tried for, before another parent is drawn.
+        attempts: attempts at a valid mutant before another parent is drawn.
         weights: relative frequencies of empty, rigid, soft, horizontal and vertical cells in random bodies and in cells
             drawn anew (EvoGym's by default).
-        mutants: how many of a parent there are for each child, played once under the parent's policy; the best of them
-            is trained. 1 takes the first, as EvoGym does; more need `inherit`, and the genetic algorithm.
+        mutants: mutants of one parent for each child, each played once under the parent's policy; the best is trained.
+            1 takes the first, as EvoGym does; more need `inherit` and the genetic algorithm.
         inherit: whether a child starts from its parent's policy instead of a fresh one; needs a method that has
             parents, and policies that are not shared, since one policy cannot start from several.
         inherit_std: standard deviation with which an inherited policy explores at first, in half ranges of the action;
-            None for its own, which its parent's training has lowered.
+            None for that of its parent, which training has lowered.
         rungs: shares of the training budget at which bodies are compared (successive halving); none by default.
-        keep: share of the bodies that go on after each rung.
+        keep: share of the bodies that continue after each rung.
         age_protection: generations in which new bodies are protected, see `GeneticAlgorithm`.
-        finetune_steps: env-steps of each survivor's fine-tuning after a search; None for 1 % of the training.
-        ppo: inner loop of one body. `sharing` says whether the bodies of a generation have policies of their own
-            ("independent") or one; its seeds and schedules are those of the run, and not set here.
-        seed: where all draws come from: bodies, mutations, weights and exploration.
+        finetune_steps: env-steps of fine-tuning for each survivor after a search; None for 1 % of its training.
+        eval_starts: number of starts, a hair apart, from which a design is scored, see `evaluate`.
+        selection: what fitness is: the score from the exact start, or the "robust" one, the mean over several starts.
+            `ppo` says which policy of a training is the best one.
+        ppo: settings of the inner loop for one body. `sharing` says whether the bodies of a generation have policies of
+            their own ("independent") or share one; seeds and schedules come from the run and are not set here.
+        seed: seed of all random draws: bodies, mutations, weights and exploration.
         num_threads: threads of the simulator; None for all cores.
 
     Raises:
-        ValueError: A value is of the wrong kind or out of range, or values do not go together.
+        ValueError: A value is of the wrong kind or out of range, or values contradict each other.
     """
 
     task: str = "Walker-v0"
@@ -160,6 +164,8 @@ class CodesignConfig:
     keep: tuple[float, ...] = ()
     age_protection: int = 0
     finetune_steps: int | None = None
+    eval_starts: int = 1
+    selection: Selection = "score"
     ppo: BodyPPOConfig = field(default_factory=BodyPPOConfig)
     seed: int = 0
     num_threads: int | None = 1
@@ -178,6 +184,7 @@ class CodesignConfig:
         self._check_ppo()
         self._check_material()
         self._check_inheritance()
+        check_selection(self.selection, self.eval_starts)
         check_budget(self.shape, self.budget, self.weights)
         if self.method == "ga":
             check_population(self.population, self.budget)

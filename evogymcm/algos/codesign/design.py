@@ -35,12 +35,12 @@ class Design:
 
     @property
     def field(self) -> Field:
-        """The stiffness (rows, cols), also where it is None."""
+        """The stiffness (rows, cols), ones if `stiffness` is None."""
         return np.ones(self.body.shape) if self.stiffness is None else self.stiffness
 
     @property
     def key(self) -> str:
-        """The body's codes as digits, row-major: what counts as the same body. Stiffness plays no part (EvoGym)."""
+        """The body's codes as digits, row-major; equal keys are equal bodies, whatever the stiffness, as in EvoGym."""
         return "".join(str(code) for code in self.body.grid.ravel())
 
     def at(self, stiffness: float) -> "Design":

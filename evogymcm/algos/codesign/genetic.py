@@ -33,19 +33,19 @@ class GeneticAlgorithm(DesignSearch):
     """The genetic algorithm of EvoGym and of EvoGymCM's reference code: mutation and truncation, no crossover.
 
     The first generation is random. Of each generation the best survive, fewer as the budget runs out. They keep their
-    fitness and are never asked for again; mutants of survivors, drawn uniformly, fill the population up.
+    fitness and are never proposed again; mutants of survivors, drawn uniformly, complete the population.
 
     Where designs carry stiffness, they start with 1 everywhere; a child inherits its parent's where a cell kept its
     type. (The reference code's children also keep the stiffness of some cells that changed their type: those changed in
     an attempt at mutation that gave no valid body.)
 
-    With `age_protection` A, floor(k / 2) of the k survivors' places are for bodies in their first A generations, as far
-    as there are such: the best of these take them, and the best of all others the rest. New bodies then compete with
+    With `age_protection` A, floor(k / 2) of the k survivors' places are for bodies in their first A generations, if
+    there are enough: the best of these take them, and the best of all others the rest. New bodies then compete with
     each other first, and have some generations of fine-tuning to catch up with old ones. The best body always survives.
     A = 0 selects by fitness alone.
 
-    Children may be chosen before they are asked for: `mutants` gives several of one parent for each, `choose` takes
-    the best by any score that costs less than fitness. Bodies not chosen count as never proposed.
+    Children may be selected before they are proposed: `mutants` gives several of one parent for each, `choose` takes
+    the best by any score that costs less than fitness. Bodies that are not chosen count as never proposed.
 
     Args:
         shape: rows and columns of the bodies.
@@ -103,11 +103,11 @@ class GeneticAlgorithm(DesignSearch):
         return [list(group) for group in self._mutants]
 
     def choose(self, scores: ArrayLike) -> None:
-        """Takes the scores (children, count) of the mutants; of each child the best, first of equals, is asked for.
+        """Takes the scores (children, count) of the mutants; the best mutant for each child is proposed.
 
         Raises:
             RuntimeError: There are no mutants to choose from.
-            ValueError: The scores are not as many, or not finite; nothing has changed then.
+            ValueError: The scores are of another number, or not finite; nothing has changed then.
         """
         if not self._mutants:
             raise RuntimeError("choose: mutants must be asked for first")
@@ -126,7 +126,7 @@ class GeneticAlgorithm(DesignSearch):
         return super().state_dict() | {"mutants": [[item.record() for item in group] for group in self._mutants]}
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Goes on from where `state_dict` was called, see `DesignSearch.load_state_dict`."""
+        """Continues from where `state_dict` was called, see `DesignSearch.load_state_dict`."""
         super().load_state_dict(state)
         self._mutants = [[Individual.from_record(record) for record in group] for group in state["mutants"]]
 

@@ -1,4 +1,4 @@
-"""What co-design asks of the inner loop: training a generation's designs together.
+"""The inner loop of co-design: training a generation's designs together.
 
 A policy is a mapping as `train` saves it, of one design: its form, and the weights of actor and critic.
 """
@@ -32,13 +32,13 @@ def holding(make_env: MakeEnv, designs: Sequence[Design]) -> partial[SoftRobotEn
 
 @dataclass(frozen=True)
 class Trained:
-    """What came of training designs together.
+    """The outcome of training designs together.
 
     Attributes:
         best: each design's best policy.
         last: each design's last policy.
-        scores: (D,) of the best policies, as they were in training.
-        env_steps: simulated, evaluations included.
+        scores: (D,) scores of the best policies during training; robust ones where that was the selection.
+        env_steps: env-steps simulated, including evaluations.
         finished: False if it was stopped.
     """
 
@@ -65,7 +65,7 @@ def train_designs(
         make_env: makes environments of given bodies, such as `partial(SoftRobotEnv, "Walker-v0", material="reactive")`.
         designs: D designs.
         ppo: settings for one design. With `sharing="independent"` each has its own policy, with "shared" all have one.
-        run: where to keep what a stopped training goes on from.
+        run: folder from which a stopped training can be resumed.
         initial: a policy for each design to start from, the same for all where they share one; None for fresh ones.
         progress: see `train`.
         should_stop: see `train`.
@@ -81,7 +81,8 @@ def train_designs(
         raise ValueError(f"initial: got {len(initial)} policies, expected one for each of {n} designs")
     start = None if initial is None else stack_policies(initial, ppo.sharing)
     trainer = Trainer(holding(make_env, designs), ppo.of_bodies(n))
-    return _apart(trainer.train(run=run, progress=progress, should_stop=should_stop, initial=start), n)
+    result = trainer.train(run=run, progress=progress, should_stop=should_stop, initial=start)
+    return _apart(result, n, ppo.selection)
 
 
 def exploring(policy: Policy, std: float) -> Policy:
@@ -109,7 +110,7 @@ def _is_same(one: Policy, other: Policy) -> bool:
     return all(torch.equal(value, other[name][key]) for name in parts for key, value in one[name].items())
 
 
-def _apart(result: TrainResult, n: int) -> Trained:
+def _apart(result: TrainResult, n: int, selection: str) -> Trained:
     """Returns a run's policies design by design."""
 
     def split(policy: Mapping[str, Any]) -> list[Policy]:
@@ -119,6 +120,6 @@ def _apart(result: TrainResult, n: int) -> Trained:
         parts = ("actor", "critic")
         return [{"form": form} | {name: take_state(policy[name], i) for name in parts} for i in range(n)]
 
-    scores = result.best["score"].numpy().astype(np.float64)
+    scores = result.best[selection].numpy().astype(np.float64)
     env_steps = result.env_steps + result.eval_steps
     return Trained(split(result.best), split(result.policy), scores, env_steps, result.finished)

@@ -7,6 +7,8 @@ from evogymcm.algos.codesign.design import Individual
 from evogymcm.algos.codesign.inner_loop import Policy
 from evogymcm.algos.runs.folder import RunFolder
 
+_TOLD = ("return", "score", "robust_score", "spread")  # see `Scores.row`
+
 
 class Ledger:
     """Rows of all that happened to individuals, their policies, and the best individual so far.
@@ -28,7 +30,7 @@ class Ledger:
         self.rows: list[dict[str, Any]] = []
         self.champion: Individual | None = None
         self._policies: dict[int, Policy] = {}  # without a folder
-        self._returns: dict[int, float] = {}  # with the last step's reward, which fitness leaves out
+        self._told: dict[int, dict[str, float]] = {}  # of each individual besides its record, such as the return
 
     @property
     def best(self) -> float | None:
@@ -49,18 +51,26 @@ class Ledger:
         else:
             self._policies[index] = policy
 
-    def add(self, event: str, individual: Individual, generation: int, env_steps: int, total: float | None) -> None:
+    def add(
+        self,
+        event: str,
+        individual: Individual,
+        generation: int,
+        env_steps: int,
+        told: Mapping[str, float] | None,
+    ) -> None:
         """Adds a row for an individual with fitness, as it is after an event: "train", "search" or "finetune".
 
-        `env_steps` are all that are simulated so far, `total` is its return; None for the one that it had.
+        `env_steps` are all that are simulated so far; `told` is its return, and scores from several starts, see
+        `Scores.row`; None for those that it had.
         """
         assert individual.fitness is not None
         if self.best is None or individual.fitness > self.best:
             self.champion = individual
-        if total is not None:
-            self._returns[individual.index] = total
+        if told is not None:
+            self._told[individual.index] = dict(told)
         row = individual.record() | {"event": event, "generation_now": generation, "env_steps": env_steps}
-        row |= {"return": self._returns[individual.index], "best": self.best}
+        row |= self._told[individual.index] | {"best": self.best}
         self.rows.append(row)
         if self.run:
             self.run.append(row)
@@ -80,7 +90,7 @@ class Ledger:
         assert self.run is not None
         self.run.keep_rows(state["rows"])
         self.rows = self.run.rows()
-        self._returns = {row["index"]: row["return"] for row in self.rows}
+        self._told = {row["index"]: {name: row[name] for name in _TOLD if name in row} for row in self.rows}
         self.champion = Individual.from_record(state["champion"]["individual"]) if state["champion"] else None
 
 

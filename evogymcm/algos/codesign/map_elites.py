@@ -17,7 +17,7 @@ from evogymcm.body import STIFFNESS_HIGH, STIFFNESS_LOW
 
 
 def design_measures(design: Design) -> tuple[float, float]:
-    """Returns what tells designs apart here: actuators per voxel, in [0, 1], and mean stiffness of the voxels."""
+    """Returns what distinguishes designs: actuators per voxel, in [0, 1], and mean stiffness of the voxels."""
     body = design.body
     return body.n_actuators / body.n_voxels, float(design.field[body.occupancy].mean())
 
@@ -30,7 +30,7 @@ class MapElites(DesignSearch):
     [0.5, 2], and a mutant's inherited field gets noise too, since mean stiffness would hardly vary otherwise; where
     they do not, it is 1, and the grid should have one column.
 
-    The population is all designs so far, the survivors are those elites that were told last: each is worked on further
+    The population is all designs so far, the survivors are the elites that were told last: each can be improved
     (`update`) once, when it is new.
 
     Args:
@@ -41,7 +41,7 @@ class MapElites(DesignSearch):
         dims: cells of the grid along either measure.
         probability: how likely a voxel's stiffness is to change in a mutant.
         sigma: standard deviation of that change, in the logarithm.
-        options: those of `DesignSearch`: seed, mutation_rate, attempts, carries_stiffness, weights.
+        options: options of `DesignSearch`: seed, mutation_rate, attempts, carries_stiffness, weights.
 
     Attributes:
         archive: the `ribs.archives.GridArchive`, for its statistics and plots; its solutions are indices.

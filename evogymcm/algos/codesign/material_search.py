@@ -33,13 +33,13 @@ class MaterialSearch:
 
     Args:
         individuals: the survivors, of one shape, with their fitness: the score that their fields have to beat.
-        seed: where all random draws come from; with each generation another one, such as (seed, generation).
+        seed: seed of all random draws; use a different one for each generation, such as (seed, generation).
         options: the fields of `SearchConfig`. Acceptance "reference" takes a new score R' over the best R if
             R' >= R + 0.02 |R| (EvoGymCM's reference code), "paper" if R' > R. Proposal "cma" is one CMA-ES per survivor
             with a population of `candidates` (needs the extra `evogymcm[cma]`), and has noise of its own.
 
     Attributes:
-        settings: all of them, of JSON types.
+        settings: all settings, of JSON types.
         n_rounds: rounds told so far.
 
     Raises:
@@ -102,11 +102,11 @@ class MaterialSearch:
         return np.stack([field for fields in self._asked for field in fields])
 
     def tell(self, scores: ArrayLike) -> NDArray[np.bool_]:
-        """Takes the scores (n * candidates,) of the fields asked for, and returns (n,) whose best of them was accepted.
+        """Takes the scores (n * candidates,) of the fields; returns (n,) whether each individual's best was accepted.
 
         Raises:
             RuntimeError: Nothing has been asked for.
-            ValueError: The scores are not as many, or not finite; nothing has changed then.
+            ValueError: The scores are of another number, or not finite; nothing has changed then.
         """
         if not self._asked:
             raise RuntimeError("tell: nothing has been asked for")
@@ -134,11 +134,11 @@ class MaterialSearch:
         return score > best if self.config.acceptance == "paper" else score >= best + _MARGIN * abs(best)
 
     def state_dict(self) -> dict[str, Any]:
-        """Returns the settings and all scores told, of JSON types: with them the search can be repeated."""
+        """Returns the settings and all scores told, of JSON types, from which the search can be repeated."""
         return {"settings": self.settings, "told": [list(scores) for scores in self._told]}
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Goes on from where `state_dict` was called, by telling the scores again.
+        """Continues from where `state_dict` was called, by telling the scores again.
 
         Raises:
             ValueError: The state is of a search with other settings or individuals.

@@ -21,7 +21,7 @@ from evogymcm.envs.tasks import Task, as_task, register_task
 
 
 def codesign_in(folder: Path, config: CodesignConfig, task: Task | None = None) -> CodesignResult:
-    """Runs co-design in a folder, or goes on with what is there; what a worker does.
+    """Runs co-design in a folder, or resumes the run that is there; this is what a worker does.
 
     `task` is the one that the settings name, for workers that have not registered it.
     """
@@ -35,16 +35,16 @@ def codesign_all(
 ) -> Iterator[tuple[str, CodesignResult]]:
     """Runs every configuration in its own folder, and yields (name, result) as each ends.
 
-    Runs that a folder holds already are gone on with, so that a broken batch is repeated without loss.
+    Runs that exist in the folder are resumed, so that an interrupted batch can be started again without loss.
 
     Args:
-        configs: by name, which is the name of the run's folder.
-        folder: that holds the runs.
-        executor: where they run; any `concurrent.futures.Executor`.
+        configs: settings by name; the name is that of the run's folder.
+        folder: the folder that holds the runs.
+        executor: any `concurrent.futures.Executor`.
 
     Raises:
-        ValueError: a run cannot start, see `codesign`, before any of them does.
-        Exception: what a run raised, once the others that had ended before it have been yielded.
+        ValueError: a run cannot start, see `codesign`; then none has started.
+        Exception: the error of a run, after the results of those that ended before it were yielded.
     """
     if not callable(getattr(executor, "submit", None)):
         raise ValueError(f"executor: got {executor!r}, expected a concurrent.futures.Executor")
@@ -73,7 +73,7 @@ _PATIENCE = 1.0  # seconds
 class RayExecutor(Executor):
     """Runs calls as tasks of a Ray cluster (extra `evogymcm[ray]`).
 
-    Where the program has a Ray session already, that is used, and outlives the executor; else one is opened.
+    If the program has a Ray session already, it is used, and stays open after the executor; otherwise one is opened.
 
     Args:
         options: arguments of `ray.init`, where a session is opened, such as `address="auto"`; by default a new local
@@ -105,7 +105,7 @@ class RayExecutor(Executor):
         """Takes no more calls, and ends the session if it was this executor that opened it.
 
         Args:
-            wait: whether to wait for the calls under way; else the session goes on with them until the program ends.
+            wait: whether to wait for running calls; otherwise they continue in the session until the program ends.
             cancel_futures: whether calls that have not ended are cancelled.
         """
         self._is_shut = True

@@ -10,7 +10,7 @@ import numpy as np
 from evogymcm.algos.codesign.body_ppo import BodyPPOConfig
 from evogymcm.algos.codesign.config import CodesignConfig, HalvingSchedule
 from evogymcm.algos.codesign.genetic import survivor_count
-from evogymcm.algos.learning.evaluation import starts_of
+from evogymcm.algos.learning.evaluation import draws_of
 from evogymcm.envs.tasks import as_task
 
 _TRAIN, _SEARCH, _FINETUNE = 0, 1, 2  # stages of a generation with draws of their own
@@ -82,7 +82,7 @@ class Cost:
         scoring: env-steps of evaluations of all kinds.
         screening: env-steps of mutants, of which few are trained.
         search: env-steps under stiffness fields that are tried.
-        finetuning: env-steps in which survivors learn on.
+        finetuning: env-steps in which survivors are trained further.
     """
 
     training: int = 0
@@ -98,13 +98,15 @@ class Cost:
 
 
 def cost_of(config: CodesignConfig) -> Cost:
-    """Returns what a run takes where no episode ends before its time limit and no max_env_steps ends the run.
+    """Returns the cost of a run whose episodes all last to the time limit and which `max_env_steps` does not end.
 
     Raises:
         ValueError: There is no such task.
     """
     task = as_task(config.task)
-    evaluation = task.time_limit * starts_of(task)  # of one body
+    evaluation = task.time_limit * draws_of(task)  # of one body, from one start
+    scoring = config.eval_starts * evaluation
+    trying = scoring if config.selection == "robust" else evaluation  # a stiffness field
     spent: Counter[str] = Counter()
 
     def learn(kind: str, training: Training) -> None:
@@ -113,19 +115,20 @@ def cost_of(config: CodesignConfig) -> Cost:
         interval = training.ppo.eval_interval
         between = min(updates - 1, (updates - 1) * frames // interval) if interval else 0
         spent[kind] += training.bodies * updates * frames
-        spent["scoring"] += training.bodies * evaluation * (between + 2)  # with the untrained and the final policy
+        played = training.ppo.eval_starts * (between + 2)  # with the untrained and the final policy
+        spent["scoring"] += training.bodies * evaluation * played
 
     for generation, (new, survivors) in enumerate(generations(config)):
         for phase in phases(config, generation, survivors):
             if phase == "screen":
                 spent["screening"] += new * config.mutants * evaluation
             elif phase == "train":
-                spent["scoring"] += new * evaluation
+                spent["scoring"] += new * scoring
                 for training in trainings(config, generation, new):
                     learn("training", training)
             elif phase == "finetune":
-                spent["scoring"] += survivors * evaluation
+                spent["scoring"] += survivors * scoring
                 learn("finetuning", finetuning(config, generation, survivors))
             elif config.search:
-                spent["search"] += config.search.rounds * (config.search.candidates + 1) * survivors * evaluation
+                spent["search"] += config.search.rounds * survivors * (config.search.candidates * trying + scoring)
     return Cost(**spent)

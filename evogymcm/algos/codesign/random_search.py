@@ -7,7 +7,7 @@ from evogymcm.algos.codesign.design import Individual
 class RandomSearch(DesignSearch):
     """Random bodies, each trained once: the floor that every other method has to beat.
 
-    The population is all bodies so far; none survives in the sense of being worked on further. It takes the options of
+    The population is all bodies so far; none survives to be improved further. It takes the options of
     `DesignSearch`, those of mutation without any effect.
     """
 

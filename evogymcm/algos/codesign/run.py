@@ -12,7 +12,7 @@ from evogymcm.algos.codesign.inner_loop import Policy, Trained, exploring, train
 from evogymcm.algos.codesign.ledger import Ledger
 from evogymcm.algos.codesign.material_search import MaterialSearch
 from evogymcm.algos.codesign.plan import Training, finetuning, phases, search_seed, trainings
-from evogymcm.algos.codesign.scoring import score_alone, score_proposals, score_together
+from evogymcm.algos.codesign.scoring import Scores, score_alone, score_proposals, score_together
 from evogymcm.algos.codesign.start import check_start, env_maker, make_body_search
 from evogymcm.algos.runs.folder import RunFolder
 
@@ -22,12 +22,12 @@ _SCREENED = 8  # mutants of a child that are played at a time, between looks whe
 
 @dataclass(frozen=True)
 class CodesignProgress:
-    """State of a run, told after every update of a policy and every round of a search.
+    """State of a run, reported after every update of a policy and every round of a search.
 
     Attributes:
         generation: counted from 0.
         phase: "screen", "train", "search" or "finetune".
-        env_steps: simulated so far, of all kinds.
+        env_steps: env-steps simulated so far, of all kinds.
         n_designs: bodies proposed so far.
         best: the best fitness so far, None before there is one.
     """
@@ -42,9 +42,10 @@ class CodesignProgress:
 class Codesign:
     """One co-design run, advanced phase by phase.
 
-    Fitness is the score of the stored policy in a world by itself (`score_alone`), so that it can be had again to the
-    last bit. The table gets a row whenever an individual is trained, searched or fine-tuned: the individual's record,
-    the event, its score and return, the env-steps of all kinds so far, and the best fitness so far.
+    Fitness is the score of the stored policy in a world by itself (`score_alone`), or its robust score, so it is
+    reproducible to the last bit. The table gets a row whenever an individual is trained, searched or fine-tuned: the
+    individual's record, the event, its fitness and return (and with several starts its score, robust score and spread),
+    the env-steps of all kinds so far, and the best fitness so far.
 
     Args:
         config: settings.
@@ -83,7 +84,7 @@ class Codesign:
         progress: Callable[[CodesignProgress], None] | None = None,
         should_stop: Callable[[], bool] | None = None,
     ) -> bool:
-        """Does the next phase; returns False where it was stopped on the way, to be gone on with later."""
+        """Runs the next phase; returns False if it was stopped on the way, to be resumed later."""
         self._tell, self._is_stopped = progress or self._tell, should_stop or self._is_stopped
         work = {
             "screen": self._screen,
@@ -180,14 +181,14 @@ class Codesign:
             last = dict(zip(going, trained.last, strict=True))
             going = sorted(sorted(going, key=lambda i: -scores[i])[: training.kept])
             start = [last[i] for i in going]
-        alone = score_alone(self.make_env, designs, [policies[i] for i in range(len(new))])
+        alone = self._score_alone(designs, [policies[i] for i in range(len(new))])
         self.env_steps += steps + alone.env_steps
-        fitness, totals = alone.score.tolist(), alone.returns.tolist()
+        fitness = alone.by(self.config.selection).tolist()
         self.body_search.tell({individual.index: fitness[i] for i, individual in enumerate(new)})
         for i, individual in enumerate(new):
             self.ledger.store(individual.index, policies[i])
-            told = replace(individual, fitness=fitness[i])
-            self.ledger.add("train", told, generation, self.env_steps, totals[i])
+            ended = replace(individual, fitness=fitness[i])
+            self.ledger.add("train", ended, generation, self.env_steps, alone.row(i))
         return True
 
     def _search_materials(self) -> bool:
@@ -197,19 +198,19 @@ class Codesign:
         policies = [self.ledger.policy(individual.index) for individual in survivors]
         seed = search_seed(self.config, self.generation)
         search = MaterialSearch(survivors, seed=seed, **asdict(self.config.search))
-        totals, steps = dict[int, float](), 0
+        told, steps, chosen = dict[int, dict[str, float]](), 0, (self.config.eval_starts, self.config.selection)
         while not search.is_finished:
             if self._is_stopped():
                 return False  # no more than a search is lost
-            scores, returns, spent = score_proposals(self.make_env, search, policies)
-            totals |= {survivors[i].index: float(returns[i]) for i in np.flatnonzero(search.tell(scores))}
+            scores, rows, spent = score_proposals(self.make_env, search, policies, *chosen)
+            told |= {survivors[i].index: rows[i] for i in np.flatnonzero(search.tell(scores)).tolist()}
             steps += spent
             self._report(steps)
         self.env_steps += steps
         for individual, stiffness, score in zip(survivors, *search.best, strict=True):
             if score > (individual.fitness or 0.0) or not np.array_equal(stiffness, individual.design.field):
                 self.body_search.update(individual.index, stiffness=stiffness, fitness=float(score))
-        self._record_survivors(totals)
+        self._record_survivors(told)
         return True
 
     def _finetune(self) -> bool:
@@ -220,19 +221,23 @@ class Codesign:
         trained = self._learn(finetuning(self.config, self.generation, len(survivors)), designs, start)
         if not trained.finished:
             return False
-        alone = score_alone(self.make_env, designs, trained.best)
+        alone = self._score_alone(designs, trained.best)
         self.env_steps += trained.env_steps + alone.env_steps
-        totals = dict[int, float]()
-        for individual, policy, score, total in zip(survivors, trained.best, alone.score, alone.returns, strict=True):
-            if score > (individual.fitness or 0.0):
-                self.ledger.store(individual.index, policy)
-                totals[individual.index] = float(total)
-                self.body_search.update(individual.index, fitness=float(score))
-        self._record_survivors(totals)
+        told = dict[int, dict[str, float]]()
+        fitness = alone.by(self.config.selection).tolist()
+        for i, individual in enumerate(survivors):
+            if fitness[i] > (individual.fitness or 0.0):
+                self.ledger.store(individual.index, trained.best[i])
+                told[individual.index] = alone.row(i)
+                self.body_search.update(individual.index, fitness=fitness[i])
+        self._record_survivors(told)
         return True
 
-    def _record_survivors(self, totals: Mapping[int, float]) -> None:
-        """Adds rows of the present phase; `totals` are the returns that are new."""
+    def _score_alone(self, designs: list[Design], policies: list[Policy]) -> Scores:
+        return score_alone(self.make_env, designs, policies, starts=self.config.eval_starts)
+
+    def _record_survivors(self, told: Mapping[int, Mapping[str, float]]) -> None:
+        """Adds rows of the present phase; `told` is what is new of individuals, by their index."""
         for individual in self.body_search.survivors:
-            total = totals.get(individual.index)
-            self.ledger.add(self.phase, individual, self.generation, self.env_steps, total)
+            new = told.get(individual.index)
+            self.ledger.add(self.phase, individual, self.generation, self.env_steps, new)

@@ -28,7 +28,7 @@ class Actor(TensorDictModuleBase):
     """Stochastic policy with one bounded action for each voxel and head.
 
     It samples unless the exploration type is deterministic (`torchrl.envs.set_exploration_type`); trainers and
-    evaluations say for their own thread which it is. With `copies`, it is D policies with weights of their own, and
+    evaluations set it for their own thread. With `copies`, it is D policies with weights of their own, and
     inputs have a leading dimension of designs (see `sharing`).
 
     Args:
@@ -101,7 +101,8 @@ class Actor(TensorDictModuleBase):
         """Returns standard normal noise (..., V, heads), correlated with that of the step before."""
         loc = next(iter(dist.heads.values())).loc
         shape = (*loc.shape, len(self.ranges))
-        fresh = torch.randn(shape, generator=self.generator, dtype=loc.dtype, device=loc.device)
+        place = loc.device if self.generator is None else self.generator.device
+        fresh = torch.randn(shape, generator=self.generator, dtype=loc.dtype, device=place).to(loc.device)
         if not self.noise_correlation:
             return fresh
         if self.noise is None or self.noise.shape != fresh.shape:
@@ -136,11 +137,12 @@ class VoxelActor(Actor):
         ranges: action entry ("actuation", "stiffness") -> (low, high).
         hidden: width of both hidden layers.
         initial_std: standard deviation that training starts with, in half ranges of the action.
-        context: what a voxel knows of the rest of its body: "none", "body" (the mean over it), "message" (also what
+        context: what a voxel knows about the rest of its body: "none", "body" (the mean over it), "message" (also what
             its neighbours encode) or "attention".
-        columns: of the padded grid; it matters to messages only, and is no weight: set it anew for another grid.
+        columns: columns of the padded grid, needed for messages only; it is not a weight, and can be set again for
+            another grid.
         copies: D policies with weights of their own; None for one.
-        generator: of the first weights; torch's global one by default.
+        generator: random generator for the first weights; torch's global one by default.
 
     Raises:
         ValueError: if `ranges` names no head or an unknown one, and for an unknown context.
@@ -202,7 +204,7 @@ class MLPActor(Actor):
         hidden: width of both hidden layers.
         initial_std: standard deviation that training starts with, in half ranges of the action.
         copies: policies with weights of their own; None for one.
-        generator: of the first weights; torch's global one by default.
+        generator: random generator for the first weights; torch's global one by default.
     """
 
     def __init__(
@@ -252,12 +254,12 @@ def make_actor(
 
     Args:
         env: a SoftRobotEnv.
-        hidden: width of the hidden layers; None for that of the network's kind, 32 ("voxel") or 64 ("mlp").
+        hidden: width of the hidden layers; None for the default of the network, 32 ("voxel") or 64 ("mlp").
         initial_std: standard deviation that training starts with, in half ranges of the action.
         network: "voxel", or "mlp" for the plain network on the flat observation, where all bodies are equal.
-        context: of the voxel network, see `VoxelActor`.
+        context: context of the voxel network, see `VoxelActor`.
         copies: policies with weights of their own; None for one.
-        generator: of the first weights; torch's global one by default.
+        generator: random generator for the first weights; torch's global one by default.
 
     Raises:
         ValueError: for an unknown network, and for "mlp" where bodies differ.
@@ -278,7 +280,7 @@ def load_actor(checkpoint: Mapping[str, Any], index: int | None = None) -> Actor
 
     Args:
         checkpoint: what `RunFolder.load("final")` or `("best")` returns.
-        index: of independent policies, the design whose policy is wanted; None for all of them, stacked.
+        index: the design whose policy is wanted, of independent ones; None for all of them, stacked.
     """
     form, weights = dict(checkpoint["form"]), checkpoint["actor"]
     if index is not None:

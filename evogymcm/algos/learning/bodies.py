@@ -1,13 +1,18 @@
-"""Bodies as texts that mean the same wherever and whenever a run is looked at."""
+"""Bodies that policies are trained on: texts that mean the same wherever a run is looked at, and random ones."""
 
 import os
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from evogymcm._messages import brief
-from evogymcm.body import Body, as_body, is_body_file, robot_tasks
+from evogymcm.body import Body, as_body, is_body_file, robot_tasks, sample_body
 from evogymcm.envs.dealing import as_bodies
 
+N_HELD_OUT = 64  # bodies that tell what a policy is worth on those that it has not seen
+_HELD_OUT_SEED = 987_654_321
 STANDARD_BODY = "HHHHH/HHHHH/HH.HH/VV.VV/VV.VV"
 
 
@@ -53,3 +58,27 @@ def default_body(task: str) -> str:
         body = Body(robot.grid, robot.connections)
         return body.text if body.has_default_connections else task
     return next((robot for robot, own in robot_tasks.items() if own == task), STANDARD_BODY)
+
+
+@dataclass(frozen=True)
+class RandomBodies:
+    """A stream of random bodies: what `bodies=` of an environment takes as a function that draws one.
+
+    Attributes:
+        shape: Rows and columns.
+        stiffness: That of all voxels; None for 1, or where the policy sets it.
+    """
+
+    shape: tuple[int, int]
+    stiffness: float | None = None
+
+    def __call__(self, rng: np.random.Generator) -> Body | tuple[Body, np.ndarray]:
+        """Returns a body, with its stiffness field where there is one."""
+        body = sample_body(self.shape, rng)
+        return body if self.stiffness is None else (body, np.where(body.occupancy, self.stiffness, 1.0))
+
+
+def held_out_bodies(shape: tuple[int, int], count: int = N_HELD_OUT) -> list[Body]:
+    """Returns random bodies that are the same in every run, drawn from a seed that no training uses."""
+    rng = np.random.default_rng(_HELD_OUT_SEED)
+    return [sample_body(shape, rng) for _ in range(count)]

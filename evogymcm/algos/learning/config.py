@@ -6,8 +6,8 @@ from typing import Literal, get_args
 import numpy as np
 
 from evogymcm._messages import brief
-from evogymcm._settings import EdgeRule, Material, check_fields, check_number, check_pair
-from evogymcm.algos.learning.bodies import as_texts, default_body, written_out
+from evogymcm._settings import EdgeRule, Material, check_count, check_fields, check_number, check_pair
+from evogymcm.algos.learning.bodies import N_HELD_OUT, as_texts, default_body, held_out_bodies, written_out
 from evogymcm.body import STIFFNESS_HIGH, STIFFNESS_LOW, Body, as_body, check_stiffness
 
 __all__ = ["PPOConfig", "TrainConfig"]
@@ -15,8 +15,10 @@ __all__ = ["PPOConfig", "TrainConfig"]
 Network = Literal["voxel", "mlp"]
 Context = Literal["none", "body", "message", "attention"]
 Sharing = Literal["shared", "independent"]
+Selection = Literal["score", "robust"]
 CONTEXTS = get_args(Context)
 
+DEVICES = ("cpu", "cuda", "mps", "xpu", "meta")  # kinds, of which "cuda:1" is one; "meta" computes nothing
 _BOUNDS: dict[str, dict[str, float]] = {  # counts without any: from 1
     "eval_interval": {"low": 0},
     "seed": {"low": 0},
@@ -57,19 +59,24 @@ class PPOConfig:
         reward_scale: factor on rewards within the learner; scores and returns are never scaled.
         hidden: width of the networks; None for their kind's default, 32 ("voxel") or 64 ("mlp").
         network: "voxel" (shared by all voxels of any body) or "mlp" (plain, on the flat observation of one body).
-        context: what a voxel knows of the rest of its body, see `VoxelActor`.
+        context: what a voxel knows about the rest of its body, see `VoxelActor`.
         sharing: "shared" (one set of weights for all designs) or "independent" (a set for each, trained side by side).
         initial_std: exploration at the start: standard deviation in half ranges of the action.
         final_std: the most exploration at the end; the limit falls geometrically from `initial_std`. A policy that has
             only ever acted with much noise may get stuck without it.
         schedule: which part of the schedules of learning rate and exploration the run covers: (0, 1) is all of it.
         noise_correlation: correlation of exploration noise from one env-step to the next. Correlated noise moves a body
-            further than white noise, whose pushes cancel each other (Hollenstein et al., 2024); each step's noise by
-            itself has the policy's distribution, which is all that the likelihood ratios look at.
+            further than white noise, whose pushes cancel each other (Hollenstein et al., 2024); in any single
+            step the noise has the policy's distribution, and the likelihood ratios use nothing else.
         eval_interval: env-steps between evaluations; 0 for only the untrained and the final policy.
         eval_worlds: worlds in an evaluation; None for one of each design, or 8 where the task draws at random.
+        eval_starts: starts that differ by a hair from which each of them is played, see `evaluate`.
+        selection: what the best policy is best by: the score of the exact start, or the "robust" one, the mean over
+            several starts.
         seed: seed of weights, exploration and environments.
         torch_threads: threads of torch while training.
+        device: where the networks learn, such as "cuda"; the simulator runs on the CPU. Noise and the order of samples
+            are drawn on the CPU and are the same for every device; sums may be rounded differently.
 
     Raises:
         ValueError: A value is of the wrong kind or out of range.
@@ -100,20 +107,35 @@ class PPOConfig:
     noise_correlation: float = 0.0
     eval_interval: int = 50_000
     eval_worlds: int | None = None
+    eval_starts: int = 1
+    selection: Selection = "score"
     seed: int = 0
     torch_threads: int = 1
+    device: str = "cpu"
 
     def __post_init__(self) -> None:
         check_fields(self, _BOUNDS)
+        kind, _, number = self.device.partition(":") if isinstance(self.device, str) else ("", "", "")
+        if kind not in DEVICES or not (number.isdigit() or kind == self.device):
+            raise ValueError(
+                f"device: got {self.device!r}, allowed are {', '.join(DEVICES)}, also with a number ('cuda:1')"
+            )
         begin, end = (check_number("schedule", share, low=0, high=1) for share in check_pair("schedule", self.schedule))
         if not begin < end:
             raise ValueError(f"schedule: got {self.schedule}, expected two rising shares from 0 to 1")
         object.__setattr__(self, "schedule", (begin, end))
+        check_selection(self.selection, self.eval_starts)
 
     @property
     def frames_per_update(self) -> int:
         """Env-steps of one rollout, all worlds together."""
         return self.num_worlds * self.rollout_steps
+
+
+def check_selection(selection: Selection, eval_starts: int) -> None:
+    """Raises a ValueError where a robust score is asked for that nobody measures."""
+    if selection == "robust" and eval_starts == 1:
+        raise ValueError("selection: got 'robust', the mean over several starts, which needs eval_starts of at least 2")
 
 
 Field = tuple[tuple[float, ...], ...]
@@ -125,12 +147,15 @@ class TrainConfig:
 
     Attributes:
         task: Id of the task, or the file of a world to walk in.
-        bodies: Rows of voxels ("HHH/V.V"), names of robots or files, one text a body; they learn side by side. None
-            given: the EvoGymCM paper's robot of the task, or the one in the world's file. `Body` objects and other
-            things that `as_body` takes become texts.
+        bodies: Rows of voxels ("HHH/V.V"), names of robots or files, one text for each body; they learn side by side.
+            By default the EvoGymCM paper's robot for the task, or the robot in the world's file. `Body` objects and
+            anything else that `as_body` takes are turned into texts.
         material: Whether the policy sets stiffness too ("reactive"), or stiffness belongs to the body ("invariant").
-        stiffness: "invariant" only: one number for all, or a field (rows, cols) for each body; None is 1.
+        stiffness: invariant setting only: one number for all, or a field (rows, cols) for each of `bodies`; None is 1.
         edge_rule: How stiffness acts on shared edges.
+        random_bodies: Rows and columns of random bodies instead of `bodies`: every episode of every world has a fresh
+            one. Evaluations use `ppo.eval_worlds` bodies (64 by default) that no run trains on, the same ones in all
+            runs.
         ppo: Settings of PPO.
 
     Raises:
@@ -142,6 +167,7 @@ class TrainConfig:
     material: Material = "invariant"
     stiffness: float | tuple[Field, ...] | None = None
     edge_rule: EdgeRule = "mean_factor"
+    random_bodies: tuple[int, int] | None = None
     ppo: PPOConfig = field(default_factory=PPOConfig)
 
     def __post_init__(self) -> None:
@@ -151,6 +177,8 @@ class TrainConfig:
             raise ValueError(f"ppo: got {brief(self.ppo)}, expected a PPOConfig")
         object.__setattr__(self, "bodies", as_texts(self.bodies))
         check_fields(self, {"stiffness": {"low": STIFFNESS_LOW, "high": STIFFNESS_HIGH}})
+        if self.random_bodies is not None:
+            self._check_stream()
         if self.stiffness is None:
             return
         if self.material == "reactive":
@@ -159,21 +187,37 @@ class TrainConfig:
             fields = tuple(tuple(tuple(map(float, row)) for row in rows) for rows in self.stiffness)
             object.__setattr__(self, "stiffness", fields)
 
+    def _check_stream(self) -> None:
+        rows, columns = check_pair("random_bodies", self.random_bodies)
+        shape = check_count("random_bodies", rows), check_count("random_bodies", columns)
+        object.__setattr__(self, "random_bodies", shape)
+        if self.bodies:
+            raise ValueError(f"random_bodies: got {shape} and bodies too, expected one of them")
+        if not (self.stiffness is None or isinstance(self.stiffness, float)):
+            raise ValueError("stiffness: random bodies take one number for all")
+
     def resolved(self) -> "TrainConfig":
-        """Returns the same settings with the task's own robot named, and bodies that lie in files written as rows.
+        """Returns the settings with the task's own robot named, and with bodies from files written as rows.
 
         Raises:
             ValueError: A file cannot be read.
         """
+        if self.random_bodies is not None:
+            return self
         return replace(self, bodies=tuple(map(written_out, self.bodies or (default_body(self.task),))))
 
     def designs(self) -> tuple[list[Body], list[np.ndarray] | None]:
-        """Returns the bodies, and a stiffness field for each; None instead of fields where there are none.
+        """Returns the bodies and a stiffness field for each, or None instead of the fields.
+
+        With random bodies, it returns those of evaluations.
 
         Raises:
             ValueError: A body is not valid, or a field does not fit its body.
         """
-        bodies = [as_body(text) for text in self.bodies or (default_body(self.task),)]
+        if self.random_bodies is not None:
+            bodies = held_out_bodies(self.random_bodies, self.ppo.eval_worlds or N_HELD_OUT)
+        else:
+            bodies = [as_body(text) for text in self.bodies or (default_body(self.task),)]
         if self.stiffness is None:
             return bodies, None
         if isinstance(self.stiffness, float):

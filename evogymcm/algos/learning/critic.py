@@ -21,7 +21,7 @@ class VoxelCritic(TensorDictModuleBase):
         task_features: features of the task, G.
         hidden: width of the hidden layers.
         copies: critics with weights of their own, for inputs with a leading dimension of designs; None for one.
-        generator: of the first weights; torch's global one by default.
+        generator: random generator for the first weights; torch's global one by default.
     """
 
     in_keys = ["voxels", "types", "task", "occupancy"]  # noqa: RUF012
@@ -64,7 +64,7 @@ class MLPCritic(TensorDictModuleBase):
         features: size of the flat observation, D.
         hidden: width of the hidden layers.
         copies: critics with weights of their own; None for one.
-        generator: of the first weights; torch's global one by default.
+        generator: random generator for the first weights; torch's global one by default.
     """
 
     in_keys = ["observation"]  # noqa: RUF012

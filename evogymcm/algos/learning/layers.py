@@ -180,7 +180,7 @@ class NormalizedDense(Dense):
     def observe(self, x: Tensor, mask: Tensor | None = None) -> None:
         """Takes raw inputs (..., in_features), those of `mask` (...), into the running mean and variance."""
         x = (x if self.frame is None else x @ self.frame.mT).to(torch.float64)
-        weights = torch.ones(x.shape[:-1]) if mask is None else mask
+        weights = torch.ones(x.shape[:-1], device=x.device) if mask is None else mask
         x, weights = (value.flatten(self.count.dim() - 1, -2) for value in (x, weights.to(x.dtype).unsqueeze(-1)))
         n = weights.sum(-2)
         mean = (x * weights).sum(-2) / n.clamp_min(1)

@@ -25,8 +25,8 @@ class Progress:
     Attributes:
         env_steps: env-steps done so far, in all worlds together.
         total_steps: env-steps of the whole run.
-        seconds: wall time so far, earlier sittings of a resumed run included.
-        row: newest row of the table: losses, mean reward, and scores where there was an evaluation.
+        seconds: wall time so far, including the time before a run was resumed.
+        row: latest row of the table: losses, mean reward, and scores if there was an evaluation.
     """
 
     env_steps: int
@@ -48,8 +48,8 @@ class TrainResult:
         eval_steps: env-steps simulated in evaluations, which `env_steps` leaves out.
         seconds: wall time of training and evaluations.
         finished: False if the run was stopped before its end.
-        best: the policy of the best evaluation, as it is saved, with its `score` in each world of that evaluation; of
-            independent policies each one's best.
+        best: the policy of the best evaluation, as it is saved, with its `score` in each world of that evaluation, and
+            its `robust` score where that was the selection; with independent policies the best of each.
         policy: the last policy, as it is saved.
     """
 

@@ -11,11 +11,11 @@ _TRIM_THRESHOLD, _TOP_PAD, _MMAP_THRESHOLD = -1, -2, -3  # options of glibc's ma
 def keep_freed_memory() -> bool:
     """Lets this process reuse freed memory instead of returning it to the system and faulting it in again.
 
-    It is a setting of the whole process, so it is for programs to call, once at their start; no module of this library
-    does it on import.
+    This changes a setting of the whole process, so programs call it once at their start; no module of this library does
+    so on import.
 
     Returns:
-        Whether it took effect: it is glibc's (Linux); elsewhere nothing is done.
+        Whether it took effect, which is so with glibc (Linux) only.
     """
     if sys.platform != "linux":
         return False

@@ -25,8 +25,8 @@ class Episodes:
     Attributes:
         step: env-steps since the reset.
         running: which worlds are still in their episode.
-        length: env-steps of the episode. The simulator has advanced each world by so many, and no further.
-        score: sum of the rewards but the last.
+        length: env-steps of the episode. The simulator has advanced each world by exactly so many.
+        score: sum of the rewards without the last.
         returns: sum of all rewards.
         goal: whether the episode ended at a goal of the task.
         unstable: whether the simulation became unstable.
@@ -103,10 +103,10 @@ class _InEnvironment:
 
 
 def play(policy: "TensorDictModuleBase | Gait", env: object, *, steps: int | None = None) -> Iterator[Episodes]:
-    """Plays one episode in every world, with deterministic actions, and yields what came of it after every env-step.
+    """Plays one episode in every world with deterministic actions, and yields its state after every env-step.
 
-    The worlds are reset first, and the start is yielded too. Worlds whose episode has ended wait for the others: they
-    are neither simulated nor counted, and keep their last state. What is yielded is always the same object.
+    The worlds are reset first, and their start is yielded too. Worlds whose episode has ended wait for the others: they
+    are neither simulated nor counted, and keep their last state. It always yields the same object.
 
         for now in play(policy, env):
             if now.step % 4 == 0:
@@ -114,20 +114,20 @@ def play(policy: "TensorDictModuleBase | Gait", env: object, *, steps: int | Non
         print(now.score)
 
     The policy is not changed, and no random numbers are drawn from torch. A reset restores the initial state, but the
-    worlds' own random generators go on from where they were. Modules other than this library's actors follow TorchRL's
-    exploration type, which is one for all threads: play in one thread at a time with them.
+    random generators of the worlds continue where they were. Modules other than this library's actors follow TorchRL's
+    exploration type, which all threads share: use them in one thread at a time.
 
     Args:
         policy: An actor, or any TensorDict module that writes the action of `SoftRobotEnv`; or a function of the engine
             that returns what `TaskEngine.step` takes, such as `sine_gait`.
         env: An environment of this library or its engine, which is reset and stepped (reset a Gymnasium or PettingZoo
-            environment before you go on with it). Episodes are the task's, whatever limit a wrapper has. For modules
-            also another TorchRL environment with the keys of `SoftRobotEnv`, which should heed TorchRL's `"_step"`: if
-            it does not, worlds go on after their end, without being looked at.
+            environment before you use it again). Episodes have the task's length, whatever the limit of a wrapper.
+            Modules also take other TorchRL environments with the keys of `SoftRobotEnv`. They should respect TorchRL's
+            `"_step"`; otherwise worlds run on after their end, which has no effect on the result.
         steps: Env-steps at most; by default to the end of all episodes.
 
     Raises:
-        ValueError: No env-step is asked for, or there is no such policy or environment.
+        ValueError: `steps` is below 1, or the policy or environment is of another kind.
     """
     if steps is not None and steps < 1:
         raise ValueError(f"steps: got {steps}, at least 1 is needed")

@@ -11,6 +11,7 @@ from torchrl.objectives.value import GAE
 from evogymcm.algos.learning.actor import Actor
 from evogymcm.algos.learning.config import PPOConfig
 from evogymcm.algos.learning.critic import Critic
+from evogymcm.algos.learning.devices import on_cpu
 from evogymcm.algos.learning.stacking import by_design, by_world
 
 __all__ = ["PPOLearner", "clip_gradients"]
@@ -26,16 +27,16 @@ _LOGGED = {
 
 
 class PPOLearner:
-    """Improves an actor and a critic from rollouts; never sees an environment.
+    """Improves an actor and a critic from rollouts, without an environment.
 
     Stacked networks (with `copies`) learn side by side, each from its own designs' worlds: advantages are normalised
-    and gradients clipped for each by itself. Only the KL guard looks at all of them together.
+    and gradients clipped for each separately. Only the limit on the KL divergence applies to all together.
 
     Args:
         actor: the policy, changed in place.
         critic: the state value, changed in place.
         config: settings of the run.
-        generator: of the order of samples; torch's global one by default.
+        generator: random generator for the order of samples; torch's global one by default.
     """
 
     def __init__(
@@ -52,7 +53,7 @@ class PPOLearner:
             loss_critic_type="l2",
             functional=False,
         )
-        self.gae = GAE(gamma=config.gamma, lmbda=config.gae_lambda, value_network=None)
+        self.gae = GAE(gamma=config.gamma, lmbda=config.gae_lambda, value_network=None, device=actor.log_std.device)
         parameters = [*actor.parameters(), *critic.parameters()]
         self.optimizer = torch.optim.Adam(parameters, config.learning_rate, eps=1e-5, fused=True)
 
@@ -74,7 +75,8 @@ class PPOLearner:
             group["lr"] = rate
         samples, explained = self._samples(rollout)
         for epoch in range(1, config.epochs + 1):  # noqa: B007  (used after the loop)
-            shuffled = samples[..., torch.randperm(samples.shape[-1], generator=self.generator)]
+            order = torch.randperm(samples.shape[-1], generator=self.generator)
+            shuffled = samples[..., order.to(self.actor.log_std.device)]
             logged = torch.stack([self._step(batch) for batch in shuffled.split(config.minibatch, -1)]).mean(0)
             stats = dict(zip(_LOGGED, logged.tolist(), strict=True))
             if config.target_kl and stats["kl"] > 1.5 * config.target_kl:
@@ -143,12 +145,9 @@ class PPOLearner:
         return torch.stack([out[key].detach() for key in _LOGGED.values()])
 
     def state_dict(self) -> dict[str, dict]:
-        """Returns the networks (with their normalisation) and the optimiser's state."""
-        return {
-            "actor": self.actor.state_dict(),
-            "critic": self.critic.state_dict(),
-            "optimizer": self.optimizer.state_dict(),
-        }
+        """Returns the networks (with their normalisation) and the optimiser's state, on the CPU."""
+        parts = {"actor": self.actor, "critic": self.critic, "optimizer": self.optimizer}
+        return {name: on_cpu(part.state_dict()) for name, part in parts.items()}
 
     def load_state_dict(self, state: dict[str, dict]) -> None:
         """Restores what `state_dict` returned."""

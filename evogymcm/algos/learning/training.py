@@ -10,8 +10,8 @@ from typing import Any
 from torchrl.record.loggers import Logger
 
 from evogymcm._messages import brief
+from evogymcm.algos.learning.bodies import RandomBodies
 from evogymcm.algos.learning.config import PPOConfig, TrainConfig
-from evogymcm.algos.learning.env import EnvFactory
 from evogymcm.algos.learning.loop import Progress, TrainResult, train_to_the_end
 from evogymcm.algos.learning.trainer import Trainer
 from evogymcm.algos.runs.folder import RunFolder
@@ -37,21 +37,22 @@ def train(
 
     Args:
         config: Settings of the run.
-        *old: Not to be used: `train(make_env, ppo)` is now `Trainer(make_env, ppo).train()`.
-        run: Where to keep the run's record, its table and checkpoints: `checkpoint` (to go on from), `best` and `final`
-            (policies, with their row of the table). A folder opened to resume is gone on with, and so is the run of a
-            path. None keeps everything in memory.
+        *old: No longer in use: `train(make_env, ppo)` is now `Trainer(make_env, ppo).train()`.
+        run: Folder for the run's record, its table and checkpoints: `checkpoint` (to resume from), `best` and `final`
+            (policies, with their row of the table). A run that exists at a path is resumed, and so is a `RunFolder`
+            that was opened with `resume`. None keeps everything in memory.
         progress: Called at the start (with the untrained policy's row, or the last one of a resumed run) and after
             every update.
-        should_stop: Asked after every update; the run then ends with a checkpoint. By default Ctrl-C stops it so.
+        should_stop: Called after every update; if it returns True, the run ends with a checkpoint. By default Ctrl-C
+            does this.
         initial: A saved policy (`load_policy(path).state`) to start from instead of fresh weights, for fine-tuning or
-            for another body. Single weights start every one of independent policies.
+            for another body. A single policy can be the start of all independent ones.
         logger: Any of TorchRL's loggers (CSV, TensorBoard, W&B); receives every number of every row.
         num_threads: Threads of the simulator; all cores by default. Results do not depend on it.
-        start_from: Not to be used: `initial` of earlier versions.
+        start_from: No longer in use: the name of `initial` in earlier versions.
 
     Raises:
-        ValueError: The task, a body or a field cannot be used, or the folder's settings are others.
+        ValueError: The task, a body or a field cannot be used, or the folder belongs to a run with other settings.
         RunInUseError: Another process or thread works in the folder.
     """
     told: dict[str, Any] = {"progress": progress, "should_stop": should_stop, "logger": logger}
@@ -102,7 +103,7 @@ def train(
 def make_trainer(config: TrainConfig, num_threads: int | None = None) -> Trainer:
     """Returns what trains a policy with these settings."""
     bodies, fields = config.designs()
-    make_env: EnvFactory = partial(
+    make_env = partial(
         SoftRobotEnv,
         config.task,
         bodies=bodies,
@@ -110,5 +111,10 @@ def make_trainer(config: TrainConfig, num_threads: int | None = None) -> Trainer
         stiffness=fields,
         edge_rule=config.edge_rule,
         num_threads=num_threads,
+        grid_shape=config.random_bodies,
     )
-    return Trainer(make_env, config.ppo)
+    if config.random_bodies is None:
+        return Trainer(make_env, config.ppo)
+    assert config.stiffness is None or isinstance(config.stiffness, float)
+    stream = RandomBodies(config.random_bodies, config.stiffness)
+    return Trainer(partial(make_env, bodies=stream, stiffness=None), config.ppo, make_env)

@@ -1,4 +1,4 @@
-"""What a run leaves behind: its folder, its record, its policies, and where it was made."""
+"""Stored runs: the folder of a run, its record, its policies, and where it was made."""
 
 from evogymcm._doors import door
 

@@ -37,11 +37,11 @@ def _plain(value: Any) -> Any:
 
 
 class RunInUseError(RuntimeError):
-    """Somebody else is at work in a run's folder."""
+    """Another process or thread is working in a run's folder."""
 
 
 class RunFiles:
-    """What lies in a run's folder, for reading: nothing is written or locked there.
+    """The files of a run's folder, for reading only: nothing is written or locked.
 
     Attributes:
         path: The folder.
@@ -59,7 +59,7 @@ class RunFiles:
         """Returns the object in a JSON file, {} where there is no such file.
 
         Raises:
-            ValueError: It is no JSON, or no object.
+            ValueError: It is not JSON, or not an object.
         """
         path = self.path / name
         if not path.is_file():
@@ -76,7 +76,7 @@ class RunFiles:
         """Returns the table; a last row cut short by a crash is left out.
 
         Raises:
-            ValueError: It is no table of JSON rows.
+            ValueError: It is not a table of JSON rows.
         """
         table = self.path / TABLE
         if not table.is_file():
@@ -103,13 +103,13 @@ class RunFolder(RunFiles):
     Args:
         path: the folder, made if it does not exist.
         config: settings of the run, of JSON types, saved and compared when resuming.
-        resume: go on with an existing run of equal settings.
+        resume: continue an existing run with equal settings.
         overwrite: delete an existing run first.
 
     Raises:
         FileExistsError: if the folder exists and neither flag is given, or it is not a run folder.
         ValueError: if both flags are given, or the settings differ from those of the run to resume.
-        RunInUseError: if somebody is at work in the folder that is to be overwritten.
+        RunInUseError: if another process or thread is working in the folder that is to be overwritten.
     """
 
     def __init__(
@@ -147,7 +147,7 @@ class RunFolder(RunFiles):
         return [file for file in files if file.name != _LOCK and (halves or file.suffix != ".part")]
 
     def _may_begin(self, config: Mapping[str, Any], resume: bool, overwrite: bool) -> bool:
-        """Whether a run begins here; False where one is gone on with. Raises an error where neither is allowed."""
+        """Returns whether a run starts here; False if one is resumed. Raises an error where neither is allowed."""
         if not self._files():
             return True
         if not (self.path / CONFIG).is_file():
@@ -160,12 +160,12 @@ class RunFolder(RunFiles):
 
     @contextmanager
     def lock(self) -> Iterator[None]:
-        """Keeps all others out who would lock the folder too: other processes, and other threads of this one.
+        """Locks the folder against other processes, and against other threads of this one.
 
-        It ends with the process, however that ends. Where the file system knows no locks, there is a warning instead.
+        The lock ends with the process in any case. On a file system without locks there is a warning instead.
 
         Raises:
-            RunInUseError: if somebody else has it.
+            RunInUseError: if another process or thread has locked it.
         """
         lock = FileLock(self.path / _LOCK)
         try:
@@ -185,10 +185,10 @@ class RunFolder(RunFiles):
             lock.release()
 
     def check_settings(self, config: Mapping[str, Any]) -> None:
-        """Compares what is about to be done here with what the folder was opened for.
+        """Compares the settings of a run that is about to start with those that the folder was opened with.
 
         Args:
-            config: Settings, of which the folder may have more, and fewer where it was made for something else.
+            config: Settings; the folder may have more of them, or fewer if it was made for something else.
 
         Raises:
             ValueError: Settings of one name differ.
@@ -214,7 +214,7 @@ class RunFolder(RunFiles):
             file.write(json.dumps(_plain(row), allow_nan=False) + "\n")
 
     def keep_rows(self, count: int) -> None:
-        """Cuts the table back to its first `count` rows: what came after the checkpoint will be done again."""
+        """Cuts the table back to its first `count` rows: what came after the checkpoint will be repeated."""
         text = "".join(json.dumps(row) + "\n" for row in self.rows()[:count])
         write_atomic(self.path / TABLE, lambda part: part.write_text(text, encoding="utf-8"))
 
@@ -227,10 +227,10 @@ class RunFolder(RunFiles):
 
 @contextmanager
 def stop_on_interrupt() -> Iterator[Callable[[], bool]]:
-    """Turns the first Ctrl-C into a flag, so that work can end at a good moment; a second one interrupts as usual.
+    """Turns the first Ctrl-C into a flag, so that work can end in an orderly way; a second one interrupts as usual.
 
     Yields:
-        A function that tells whether Ctrl-C came. Outside the main thread it never does.
+        A function that returns whether Ctrl-C was pressed; always False outside the main thread.
     """
     if threading.current_thread() is not threading.main_thread():
         yield lambda: False

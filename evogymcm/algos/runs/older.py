@@ -20,7 +20,15 @@ def of_arm(arm: str, prescribed: Any, search: Any) -> dict[str, Any]:
 
 def present_settings(config: Mapping[str, Any]) -> Mapping[str, Any]:
     """Returns the saved settings of a run as a run of today has them."""
+    config = _with_starts(config)
     if not {"arm", "prescribed", "search"} <= config.keys():
         return config
     rest = {name: value for name, value in config.items() if name not in ("arm", "prescribed")}
     return rest | of_arm(config["arm"], config["prescribed"], config["search"])
+
+
+def _with_starts(config: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Returns settings of PPO or co-design, or those that hold some, with the one start that earlier versions had."""
+    inner = {name: _with_starts(config[name]) for name in ("ppo",) if isinstance(config.get(name), Mapping)}
+    has_starts = config.keys() & {"eval_interval", "budget"}
+    return ({"eval_starts": 1, "selection": "score"} if has_starts else {}) | dict(config) | inner

@@ -1,4 +1,4 @@
-"""Trained policies as they lie in run folders, with what they were trained on."""
+"""Trained policies from run folders, with what they were trained on."""
 
 import pickle
 import re
@@ -23,14 +23,14 @@ _NAMES = ("final.pt", "best.pt", "codesign.pt")
 
 @dataclass(frozen=True, eq=False)
 class SavedPolicy:
-    """A policy and what its run says of it.
+    """A policy and what its run recorded about it.
 
     Attributes:
         path: Its file.
-        state: What the run has saved: the form, and the weights of actor and critic.
+        state: What the run saved: the kind of network, and the weights of actor and critic.
         material: The setting that it was trained in.
-        task: Id of the task that it was trained on; None where the run does not say.
-        bodies: The bodies that it was trained on; empty where the run does not say.
+        task: Id of the task that it was trained on; None if not recorded.
+        bodies: The bodies that it was trained on; empty if not recorded.
         stiffness: A field for each of the bodies; None for 1 everywhere, or set by the policy.
         edge_rule: How stiffness acted on shared edges.
     """
@@ -52,17 +52,17 @@ class SavedPolicy:
         stiffness: Sequence[np.ndarray] | None = None,
         **options: Any,
     ) -> SoftRobotEnv:
-        """Returns worlds as those that the policy was trained in.
+        """Returns an environment like the one in which the policy was trained.
 
         Args:
             num_worlds: N; as many as bodies by default.
             task: Another task.
             bodies: Other bodies, with stiffness 1 unless `stiffness` says otherwise.
             stiffness: Other fields, one for each body.
-            **options: What else `SoftRobotEnv` takes.
+            **options: Other arguments of `SoftRobotEnv`.
 
         Raises:
-            ValueError: The run does not say what is not given here, or an argument cannot be used.
+            ValueError: The task or bodies are neither given nor recorded, or an argument cannot be used.
         """
         if not (task or self.task):
             raise ValueError(f"task: got none, and {self.path} does not say on which one it was trained")
@@ -75,7 +75,9 @@ class SavedPolicy:
         return SoftRobotEnv(task or self.task, list(bodies or self.bodies), num_worlds, **settings, **options)
 
     def module(self, env: SoftRobotEnv) -> TensorDictModuleBase:
-        """Returns the policy as a module that acts in an environment; of independent policies each in its own worlds.
+        """Returns the policy as a module that acts in an environment.
+
+        Independent policies act each in their own worlds.
 
         Raises:
             ValueError: It was trained for other observations, another material or another number of bodies.

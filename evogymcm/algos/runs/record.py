@@ -1,4 +1,4 @@
-"""What a run was and what came of it: one record for training and co-design, of this version and of earlier ones."""
+"""The record of a run, its settings and results: one form for training and co-design, of this and earlier versions."""
 
 import os
 import pickle
@@ -22,7 +22,10 @@ NOT_RECORDED = "not recorded"
 _RESULT, _SIGNALS, _STATE, _FINAL = "result.json", "signals.json", "codesign", "final.pt"
 _IN_OTHER_FILES = ("config", "rows", "signals", "path")
 _LABELS = ("variant", "label", "arm")  # by which experiments compare
-_EVALUATION = ("score", "return", "episode_length", "goal_rate", "unstable", "steps_to_goal", "fraction_of_ceiling")
+_EVALUATION = (  # see `Evaluation.summary`
+    *("score", "return", "episode_length", "goal_rate", "unstable", "steps_to_goal", "fraction_of_ceiling"),
+    *("robust_score", "spread"),
+)
 _FIRST_PHASES = ("screen", "train")  # of a generation of co-design
 _MATERIALS = {  # of arms, as earlier versions called comparisons of settings
     "reactive": "reactive",
@@ -41,7 +44,7 @@ class RunRecord:
     Attributes:
         kind: "train" or "codesign".
         task: Id of the task.
-        label: What the run is compared by in a report: the name that an experiment gave its settings (`arm` or
+        label: The name under which reports compare the run: the one that an experiment gave its settings (`arm` or
             `variant` in the folder's settings), else the material.
         material: "reactive" or "invariant"; None where it is not recorded.
         bodies: Texts of the bodies that a policy was trained for; empty in co-design, and where they are not recorded.
@@ -49,19 +52,19 @@ class RunRecord:
             have. None: 1, or set by the policy, or searched for each design.
         edge_rule: How stiffness acted on shared edges.
         seed: The run's seed; None where it is not recorded.
-        finished: Whether it was run to its end.
-        env_steps: Simulated by now; in co-design, evaluations included.
+        finished: Whether it ran to its end.
+        env_steps: Env-steps simulated so far; in co-design including evaluations.
         seconds: Wall time so far; None where it is not recorded.
-        curve: (env-steps, score): of the evaluations in training, or the best so far in co-design.
+        curve: (env-steps, score) of the evaluations in training, or of the best so far in co-design.
         final: Training: the evaluation of the last policy, see `Evaluation.summary`, and its ceiling; None where the
             run was stopped.
         best: Co-design: the row of the best design; None before there is one.
         n_designs: Co-design: how many were trained.
         origin: What made it, see `find_origin`; empty where it is not recorded.
         config: The settings.
-        rows: The whole table; empty where the record alone is left.
-        signals: What `signals.json` holds; None without.
-        path: The folder; None where the record alone is left.
+        rows: The whole table; empty if only the record is left.
+        signals: The content of `signals.json`; None without one.
+        path: The folder; None if only the record is left.
     """
 
     kind: Kind
@@ -91,7 +94,7 @@ class RunRecord:
 
         Args:
             path: The folder.
-            told: What a suite's results say of the run; what its own files say is newer.
+            told: What a suite's results say about the run; its own files take precedence.
 
         Raises:
             ValueError: There is no run in the folder, or a file cannot be read.

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from evogymcm.sim._jit import kernel
+from evogymcm.sim.kernels._jit import kernel
 
 FINE = 2  # fine pixels to a pixel, across and up
 _RED_BLUE, _GREEN = np.uint32(0xFF00FF), np.uint32(0x00FF00)

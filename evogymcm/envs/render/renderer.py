@@ -33,8 +33,8 @@ _DRAWN = ("_pygame", "_font", "_strip", "_surfaces")  # what pygame made, which 
 class Renderer:
     """Draws the worlds of an environment as they are.
 
-    Types view: hue is the voxel's type, brightness falls with its stiffness (0.9 / sqrt(S)), and an actuator is the
-    paler, the longer it is. Stiffness view: the robot's stiffness alone, on a logarithmic scale. The camera follows
+    Types view: hue is the voxel's type, brightness falls with its stiffness (0.9 / sqrt(S)), and an actuator is
+    paler the longer it is. Stiffness view: the robot's stiffness alone, on a logarithmic scale. The camera follows
     the robot, and the package or beam of its task, with some delay over env-steps; it starts anew in a new episode.
 
     Args:
@@ -107,11 +107,11 @@ class Renderer:
         Tiles share the picture's width, but are at least 48 wide: many columns make the picture wider.
 
         Args:
-            worlds: Which; all by default.
-            columns: How many side by side; by default as many as there are rows.
+            worlds: Which worlds; all by default.
+            columns: How many are side by side; by default as many as there are rows.
 
         Raises:
-            ValueError: There is no world or no column.
+            ValueError: There are no worlds or no columns.
         """
         chosen = list(range(self.engine.num_worlds)) if worlds is None else [int(world) for world in worlds]
         columns = math.ceil(math.sqrt(len(chosen))) if columns is None else columns

@@ -1,4 +1,4 @@
-"""Pictures and videos as files, through imageio. A file is there whole or not at all."""
+"""Pictures and videos as files, through imageio. Files are written completely or not at all."""
 
 import os
 from collections.abc import Iterable
@@ -17,13 +17,14 @@ def write_video(path: str | Path, frames: Iterable[np.ndarray], fps: float = FPS
     """Writes an MP4 or GIF and returns its path. Frames are taken one by one; they may come from a generator.
 
     Args:
-        path: Where to; its suffix is ".mp4" or ".gif". An existing file is replaced.
-        frames: uint8 (height, width, 3), all of one size. An MP4 has even sizes: a last odd row or column is doubled.
-        fps: Frames in a second. A GIF counts hundredths of a second for a frame, and viewers show at most 50 a second.
+        path: The file, which ends in ".mp4" or ".gif". An existing file is replaced.
+        frames: uint8 (height, width, 3), all of one size. MP4 needs even sizes: a last odd row or column is doubled.
+        fps: Frames per second. In a GIF a frame lasts whole hundredths of a second, and viewers show at most 50 a
+            second.
 
     Raises:
         ImportError: imageio is not installed (for MP4 imageio-ffmpeg too).
-        ValueError: The suffix is another, a frame is no picture or of another size, or there is no frame.
+        ValueError: The suffix is another, a frame is not a picture or differs in size, or there is no frame.
     """
     path = Path(path)
     if path.suffix.lower() not in VIDEOS:

@@ -22,15 +22,15 @@ tasks: Mapping[str, Task] = MappingProxyType(_REGISTRY)
 def register_task(task: Task, *, replace: bool = False) -> Task:
     """Adds a task under its id, here and as `evogymcm/ID` in Gymnasium, and returns it.
 
-    A task of one's own takes the place of an earlier one of the same class (module and name), with a warning, so that
-    a notebook's cell may be run again.
+    A task of your own replaces an earlier one of the same class (module and name), with a warning, so that a notebook's
+    cell may be run again.
 
     Args:
         task: The task.
-        replace: Whether it may take the place of any other task, without a warning.
+        replace: Whether it may replace any other task, without a warning.
 
     Raises:
-        ValueError: Where the id is taken by a task of the package or of another class, and `replace` is not given.
+        ValueError: The id belongs to a task of the package or of another class, and `replace` is not set.
     """
     former = _REGISTRY.get(task.id)
     if former == task:

@@ -10,8 +10,16 @@ import torch
 from torch.utils._pytree import tree_leaves
 
 import evogymcm as cm
-from evogymcm.algos import BodyPPOConfig, RunFolder
-from evogymcm.algos.codesign import CodesignConfig, Design, SearchConfig, codesign, score_alone, train_designs
+from evogymcm.algos import BodyPPOConfig, RunFolder, RunRecord
+from evogymcm.algos.codesign import (
+    CodesignConfig,
+    Design,
+    SearchConfig,
+    codesign,
+    cost_of,
+    score_alone,
+    train_designs,
+)
 from evogymcm.algos.codesign.scoring import score_together
 from evogymcm.algos.codesign.start import env_maker
 from evogymcm.envs import SoftRobotEnv, Task
@@ -90,8 +98,8 @@ def test_scores_and_returns_can_be_had_again_to_the_last_bit(config, is_blurred,
     if is_blurred:  # scores of a batch that are off by more than rounding, and several candidates to choose from
         rng = np.random.default_rng(0)
 
-        def blurred(*args):
-            exact = score_together(*args)
+        def blurred(*args, **options):
+            exact = score_together(*args, **options)
             return replace(exact, score=exact.score + rng.normal(scale=0.01, size=exact.score.shape))
 
         monkeypatch.setattr("evogymcm.algos.codesign.scoring.score_together", blurred)
@@ -248,3 +256,42 @@ def test_runs_in_the_words_of_before_go_on_to_the_same_result(name, tmp_path):
     assert told(again) == told(codesign(config))
     with pytest.raises(ValueError, match="material: got reactive, the run has invariant"):
         RunFolder(tmp_path / "run", asdict(TINY), resume=True)
+
+
+STARTS = replace(TINY, budget=4, eval_starts=3, ppo=replace(PPO, eval_starts=2, selection="robust"))
+SEARCHED = replace(STARTS, material="invariant", search=SearchConfig(rounds=1, acceptance="paper"))
+
+
+@pytest.mark.parametrize("config", [STARTS, replace(STARTS, selection="robust"), replace(SEARCHED, selection="robust")])
+def test_fitness_is_what_the_selection_says_from_as_many_starts_as_the_settings(config, tmp_path):
+    run = RunFolder(tmp_path / "run", asdict(config))
+    calls = []
+    codesign(config, run=run, should_stop=lambda: calls.append(1) or len(calls) > 2)
+    result = codesign(config, run=RunFolder(run.path, asdict(config), resume=True))
+    assert told(result) == told(codesign(config))
+    assert result.env_steps == cost_of(config).total
+    last = {row["index"]: row for row in result.rows}
+    designs = [Design.from_record(row) for row in last.values()]
+    policies = [run.load(f"policy-{index:04}") for index in last]
+    again = score_alone(env_maker(config), designs, policies, starts=3)
+    np.testing.assert_array_equal(again.score, score_alone(env_maker(config), designs, policies).score)
+    assert again.env_steps == 3 * len(designs) * 8
+    by = "robust_score" if config.selection == "robust" else "score"
+    for i, row in enumerate(last.values()):
+        assert again.row(i) == {name: row[name] for name in ("return", "score", "robust_score", "spread")}
+        assert row["fitness"] == row[by]
+    one = score_alone(env_maker(config), designs[1:2], policies[1:2], starts=3)
+    assert (one.robust[0], one.spread[0]) == (again.robust[1], again.spread[1])
+    record = RunRecord.read(run.path)
+    assert record.best["robust_score"] == last[result.best.index]["robust_score"]
+
+
+def test_a_run_of_before_there_were_several_starts_is_gone_on_with(tmp_path):
+    settings = asdict(TINY)
+    run = RunFolder(tmp_path / "run", settings)
+    for place in (settings, settings["ppo"]):
+        del place["eval_starts"], place["selection"]
+    run.write_json("config.json", settings)
+    assert RunFolder(run.path, asdict(TINY), resume=True).config
+    with pytest.raises(ValueError, match="eval_starts: got 2, the run has 1"):
+        RunFolder(run.path, asdict(replace(TINY, eval_starts=2)), resume=True)

@@ -1,4 +1,6 @@
-"""Scores and returns of deterministic episodes."""
+"""Scores and returns of deterministic episodes, from one start and from several."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -6,7 +8,10 @@ import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 
+import evogymcm as cm
 from evogymcm.algos import evaluate, make_actor
+from evogymcm.envs import SoftRobotEnv, TaskEngine, sine_gait
+from evogymcm.sim.constants import Physics
 from tests.algos.toy_env import SMALL, WIDE, ToyEnv, ToyTask
 
 
@@ -98,3 +103,80 @@ def test_evaluation_is_deterministic_and_draws_nothing():
     assert torch.equal(before, torch.get_rng_state())
     np.testing.assert_array_equal(first.score, again.score)
     assert (evaluate(actor, ToyEnv(noise=0.1, seed=4)).score != first.score).any()
+
+
+LONG = replace(cm.tasks["CaveCrawler-v0"], time_limit=160)  # long enough for contact to make much of little
+DRAWN = replace(cm.tasks["BidirectionalWalker-v0"], time_limit=12)
+TWO = ["Cave_Bot", "Walk_Bot"]
+
+
+def make_cave(num_worlds, num_threads=1, bodies="Cave_Bot"):
+    return SoftRobotEnv(LONG, bodies, num_worlds, material="reactive", num_threads=num_threads)
+
+
+@pytest.fixture(scope="module")
+def crawler():
+    """A policy whose actions depend strongly on what it senses."""
+    actor = make_actor(make_cave(1), generator=torch.Generator().manual_seed(0))
+    with torch.no_grad():
+        for weights in actor.parameters():
+            weights.mul_(3.0)
+    return actor
+
+
+def test_the_exact_start_has_the_score_that_it_has_alone_whatever_other_starts_there_are(crawler):
+    alone = evaluate(crawler, make_cave(2, bodies=TWO))
+    np.testing.assert_array_equal(alone.starts, alone.score[None])
+    assert np.isnan(alone.spread).all()
+    assert "robust_score" not in alone.summary()
+    some = evaluate(crawler, make_cave(6, bodies=TWO), 3)
+    more = evaluate(crawler, make_cave(10, 3, bodies=TWO), 5)
+    for name in ("score", "returns", "length", "ceiling"):
+        np.testing.assert_array_equal(getattr(some, name), getattr(alone, name))
+    np.testing.assert_array_equal(more.starts[:3], some.starts)  # of any number of starts and threads
+    assert more.starts.shape == (5, 2)
+    assert more.env_steps == 10 * 160
+    np.testing.assert_allclose(more.robust, more.starts.mean(0))
+    np.testing.assert_allclose(more.spread, more.starts.std(0, ddof=1))
+    summary = more.summary()
+    assert (summary["robust_score"], summary["spread"]) == pytest.approx((more.robust.mean(), more.spread.mean()))
+
+
+def test_there_is_no_spread_at_rest_in_the_air_but_in_a_gait_with_contact():
+    def still(engine):
+        return np.ones(engine.occupancy.shape), None
+
+    floating = TaskEngine(replace(LONG, time_limit=20), "Cave_Bot", 4, physics=Physics(gravity=0.0))
+    rest = evaluate(still, floating, 4)
+    assert rest.spread[0] < 1e-12
+    assert evaluate(sine_gait, TaskEngine("Walker-v0", "Walk_Bot", 4), 4).spread[0] > 1e-3
+
+
+def test_starts_of_one_world_draw_the_same_and_a_seed_tells_them():
+    engine, exact = (TaskEngine(DRAWN, ["HHH/V.V", "VVV/H.H"], 8, seed=3) for _ in range(2))
+    engine.set_starts(2, 5)
+    engine.reset()
+    goals, points = engine.memory["goals"], [engine.simulator.points(world) for world in range(8)]
+    np.testing.assert_array_equal(goals[:4], goals[4:])
+    assert len(np.unique(goals[:4], axis=0)) == 4
+    for world in range(4):
+        np.testing.assert_array_equal(points[world], exact.simulator.points(world))
+        assert 0 < np.abs(points[world + 4] - points[world]).max() < 6e-6
+    results = [
+        evaluate(sine_gait, TaskEngine(DRAWN, "HHH/V.V", 2), 2, start_seed=seed).starts.tolist() for seed in (0, 0, 1)
+    ]
+    assert results[0] == results[1] != results[2]
+    assert results[0][0] == results[2][0]
+
+
+def test_worlds_that_are_no_repetition_are_refused_before_they_are_played(crawler):
+    with pytest.raises(ValueError, match="starts: got 3, which does not share 4 worlds into equal parts"):
+        evaluate(crawler, make_cave(4), 3)
+    with pytest.raises(ValueError, match="each with all of 2 designs"):
+        evaluate(crawler, make_cave(4, bodies=TWO), 4)
+    with pytest.raises(ValueError, match="starts: got 0"):
+        evaluate(crawler, make_cave(1), 0)
+    with pytest.raises(ValueError, match="starts: got 2, under a stream"):
+        TaskEngine(DRAWN, lambda rng: cm.sample_body((3, 3), rng), 2, grid_shape=(3, 3)).set_starts(2)
+    with pytest.raises(ValueError, match="env: got ToyEnv"):
+        evaluate(_Wave(), ToyEnv(num_worlds=2), 2)

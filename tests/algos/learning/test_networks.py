@@ -76,6 +76,20 @@ def test_prepared_samples_give_the_same(context):
     torch.testing.assert_close(critic(prepared)["state_value"], critic(samples)["state_value"])
 
 
+@pytest.mark.parametrize("context", ["none", "body", "message", "attention"])
+def test_networks_stay_on_their_device(context):
+    """Torch's device "meta" computes nothing, and refuses tensors of another one as a GPU does."""
+    env = ToyEnv(bodies=[SMALL, WIDE], num_worlds=4)
+    actor, critic = make_actor(env, context=context).to("meta"), make_critic(env).to("meta")
+    samples = env.rollout(3).select(*actor.in_keys).to("meta")
+    actor.noise_correlation, actor.generator = 0.5, torch.Generator()
+    for _ in range(2):
+        out = critic(actor(samples.clone()))
+    assert {value.device.type for value in out.values(True, True)} == {"meta"}
+    actor.observe(samples)
+    critic.observe(samples)
+
+
 def test_outputs_do_not_depend_on_the_other_bodies_of_the_batch():
     env = ToyEnv(bodies=[SMALL, WIDE], num_worlds=4)
     actor, critic = _trained_like(env)

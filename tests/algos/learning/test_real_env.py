@@ -1,13 +1,14 @@
 """Training in the simulator: evaluation on real tasks, and the same weights for any number of threads."""
 
 import functools
-from dataclasses import replace
+from dataclasses import asdict, replace
 
+import numpy as np
 import pytest
 import torch
 
 import evogymcm as cm
-from evogymcm.algos import PPOConfig, Trainer, evaluate, make_actor
+from evogymcm.algos import Evaluation, PPOConfig, RunFolder, Trainer, evaluate, load_actor, make_actor
 from evogymcm.envs import SoftRobotEnv
 
 TINY = PPOConfig(
@@ -66,6 +67,73 @@ def test_evaluations_of_random_tasks_have_several_worlds_with_draws_of_their_own
     assert evaluation == again
     assert not evaluation & training
     assert not (training | evaluation) & (other_training | other_evaluation)
+
+
+SEVERAL = replace(TINY, total_steps=1024, eval_starts=3, selection="robust")
+
+
+def test_starts_of_evaluations_cost_env_steps_and_change_neither_training_nor_scores(tmp_path):
+    plain = Trainer(make_short, replace(TINY, total_steps=1024)).train()
+    folder = RunFolder(tmp_path / "run", asdict(SEVERAL))
+    result = Trainer(make_short, SEVERAL).train(run=folder)
+    assert _same(plain, result)
+    assert result.eval_steps == 3 * plain.eval_steps
+    for row, before in zip(result.rows, plain.rows, strict=True):
+        kept = row.keys() - {"robust_score", "spread", "seconds"}
+        assert {name: row[name] for name in kept} == {name: before[name] for name in kept}
+    rows = [row for row in result.rows if "score" in row]
+    assert result.best["robust"].item() == max(row["robust_score"] for row in rows)
+    assert all(row["spread"] > 0 for row in rows)
+    best = folder.load("best")
+    assert best["score"].item() == best["row"]["score"]
+    with Trainer(make_short, SEVERAL) as trainer:
+        trainer.actor.load_state_dict(load_actor(best).state_dict())
+        assert trainer.evaluate().robust == best["robust"].numpy()
+    stopped = RunFolder(tmp_path / "stopped", asdict(SEVERAL))
+    calls = []
+    Trainer(make_short, SEVERAL).train(run=stopped, should_stop=lambda: calls.append(1) or len(calls) > 2)
+    again = Trainer(make_short, SEVERAL).train(run=RunFolder(stopped.path, asdict(SEVERAL), resume=True))
+    assert len(calls) == 3
+    assert _same(result, again)
+    assert again.best["robust"] == result.best["robust"]
+    assert again.eval_steps == result.eval_steps
+
+
+def _told(*starts):
+    """An evaluation with these scores from the starts."""
+    rows = np.array(starts, dtype=float)
+    n = rows.shape[1]
+    nothing = np.zeros(n, bool)
+    return Evaluation(rows[0], rows[0], np.ones(n, int), nothing, nothing, np.full(n, np.nan), rows.size, rows)
+
+
+@pytest.mark.parametrize("selection", ["score", "robust"])
+@pytest.mark.parametrize("sharing", ["shared", "independent"])
+def test_the_best_policy_is_the_one_of_the_selection(selection, sharing):
+    """The first policy has the higher score, the second one is better from most starts; a third one is worse."""
+    config = replace(SEVERAL, selection=selection, sharing=sharing)
+    make = functools.partial(make_short, bodies=["Walk_Bot", "HHH/V.V"])
+    with Trainer(make, config) as trainer:
+        taken = []
+        for scores in ([5.0, 1.0, 0.0], [4.0, 3.0, 3.5], [3.0, 3.0, 3.0]):
+            with torch.no_grad():
+                trainer.actor.log_std.add_(1.0)
+            taken.append(trainer.take_best(_told(*([score, score] for score in scores))))
+        assert taken == [True, selection == "robust", False]
+        assert set(trainer.best["score"].tolist()) == {4.0 if selection == "robust" else 5.0}
+        newest = trainer.actor.log_std - trainer.best["actor"]["log_std"]
+        assert set(newest.flatten().tolist()) == {1.0 if selection == "robust" else 2.0}
+
+
+def test_starts_that_no_evaluation_can_have_are_refused_before_training():
+    two = functools.partial(make_short, bodies=["Walk_Bot", "HHH/V.V"])
+    with pytest.raises(ValueError, match="eval_worlds: got 3, eval_starts 3 needs a multiple of 2 designs"):
+        Trainer(two, replace(SEVERAL, eval_worlds=3))
+    stream = functools.partial(make_short, bodies=lambda rng: cm.sample_body((3, 3), rng), grid_shape=(3, 3))
+    with pytest.raises(ValueError, match="eval_starts: got 3, under a stream of bodies"):
+        Trainer(stream, SEVERAL)
+    with pytest.raises(ValueError, match=r"selection: got 'robust', .* needs eval_starts of at least 2"):
+        PPOConfig(selection="robust")
 
 
 @pytest.mark.slow

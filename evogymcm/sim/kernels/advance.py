@@ -4,11 +4,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from evogymcm.sim._jit import inlined, inner, kernel
-from evogymcm.sim.candidates import N_FOUND, collapsed, list_candidates, lists_hold
 from evogymcm.sim.constants import MISSING, PhysicsValues
-from evogymcm.sim.contact import N_HOW, N_WHICH, Contacts, Sorting, apply_contacts, find_contacts
-from evogymcm.sim.springs import (
+from evogymcm.sim.kernels._jit import inlined, inner, kernel
+from evogymcm.sim.kernels.candidates import N_FOUND, collapsed, list_candidates, lists_hold
+from evogymcm.sim.kernels.contact import N_HOW, N_WHICH, Contacts, Sorting, apply_contacts, find_contacts
+from evogymcm.sim.kernels.springs import (
     FIRST_FORCE,
     SpringScratch,
     SpringState,
@@ -17,8 +17,8 @@ from evogymcm.sim.springs import (
     limit_lengths,
     limit_rigid,
 )
+from evogymcm.sim.kernels.vectors import absolute, aligned_zeros, less, load, store
 from evogymcm.sim.tables import END_CELL, FIRST_CELL, Layout, Surface, Terrain, in_two, layout_of, part, terrain_of
-from evogymcm.sim.vectors import absolute, aligned_zeros, less, load, store
 
 
 class Storage(NamedTuple):

@@ -13,9 +13,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from evogymcm.sim._jit import inlined, inner, kernel
 from evogymcm.sim.constants import MISSING
-from evogymcm.sim.trees import HIGH_X, HIGH_Y, LOW_X, LOW_Y, Tree
+from evogymcm.sim.kernels._jit import inlined, inner, kernel
+from evogymcm.sim.kernels.trees import HIGH_X, HIGH_Y, LOW_X, LOW_Y, Tree
 
 _TURN = (0, 1, 3, 2)  # when a main voxel's corners TL, TR, BL, BR have their turn
 _SECOND = 4  # turns later: the second leaf's voxel is main

@@ -10,7 +10,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from evogymcm.sim._jit import inlined, inner
 from evogymcm.sim.constants import (
     LIMIT_GAIN,
     RIGID_LIMIT_GAIN,
@@ -21,7 +20,8 @@ from evogymcm.sim.constants import (
     VOXEL,
     PhysicsValues,
 )
-from evogymcm.sim.vectors import (
+from evogymcm.sim.kernels._jit import inlined, inner
+from evogymcm.sim.kernels.vectors import (
     alternating,
     differences,
     gather,

@@ -11,9 +11,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from evogymcm.sim._jit import inlined, inner, kernel
 from evogymcm.sim.constants import MISSING, VOXEL
-from evogymcm.sim.hash_sets import SIZES, Sets, clear, erase, insert, move, new_sets
+from evogymcm.sim.kernels._jit import inlined, inner, kernel
+from evogymcm.sim.kernels.hash_sets import SIZES, Sets, clear, erase, insert, move, new_sets
 from evogymcm.sim.topology import BOTTOM, LEFT, RIGHT, TOP, Topology
 
 LOW_X, LOW_Y, HIGH_X, HIGH_Y = range(4)  # rows of `boxes`

@@ -6,8 +6,8 @@ and edges get their numbers in the order in which the walk comes to them.
 
 import numpy as np
 
-from evogymcm.sim._jit import inlined, kernel
 from evogymcm.sim.constants import EMPTY, FIXED, H_ACT, MISSING, N_CODES, RIGID, SOFT, V_ACT
+from evogymcm.sim.kernels._jit import inlined, kernel
 
 TL, TR, BL, BR = range(4)  # corners of a voxel, in the order in which points are made
 TOP, RIGHT, BOTTOM, LEFT = range(4)  # sides of a voxel, in the order in which contacts and rigid limits visit them

@@ -9,13 +9,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from evogymcm.sim._jit import inlined, inner
-from evogymcm.sim.candidates import position
 from evogymcm.sim.constants import MISSING, PhysicsValues
-from evogymcm.sim.contact_order import CONTACT, add_keys, sort_keys
+from evogymcm.sim.kernels._jit import inlined, inner
+from evogymcm.sim.kernels.candidates import position
+from evogymcm.sim.kernels.contact_order import CONTACT, add_keys, sort_keys
+from evogymcm.sim.kernels.trees import unite
 from evogymcm.sim.tables import Surface, Terrain, in_two
 from evogymcm.sim.topology import BL, BOTTOM, LEFT, RIGHT, TL, TOP, TR
-from evogymcm.sim.trees import unite
 
 _PARALLEL = 1e-4  # segments with a smaller determinant do not intersect
 _DEGENERATE = 1e-6  # metres; sides shorter than this count as _FAR away

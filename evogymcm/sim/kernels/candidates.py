@@ -7,8 +7,9 @@ of their own (`contact.py`), so that the moment of listing cannot be seen in a r
 
 import numpy as np
 
-from evogymcm.sim._jit import inlined, inner
 from evogymcm.sim.constants import MISSING, VOXEL
+from evogymcm.sim.kernels._jit import inlined, inner
+from evogymcm.sim.kernels.vectors import absolute, alternating, less_equal, load, spread
 from evogymcm.sim.tables import (
     END_CELL,
     END_POINT,
@@ -19,7 +20,6 @@ from evogymcm.sim.tables import (
     Terrain,
 )
 from evogymcm.sim.topology import BL, BR, TL, TR
-from evogymcm.sim.vectors import absolute, alternating, less_equal, load, spread
 
 SKIN = 0.02  # metres
 N_FOUND = 6  # numbers of a candidate, see `list_candidates`

@@ -9,8 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from evogymcm.sim._jit import inlined, kernel
 from evogymcm.sim.constants import MISSING
+from evogymcm.sim.kernels._jit import inlined, kernel
 
 # How many values a set has room for, as it grows.
 SIZES = np.array([13, 29, 59, 127, 257, 541, 1109, 2357, 5087, 10273, 20753, 42043, 85229, 172933, 351061, 712697])

@@ -9,10 +9,10 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from evogymcm.sim._jit import inlined, inner, kernel
-from evogymcm.sim.advance import Storage
-from evogymcm.sim.candidates import position
 from evogymcm.sim.constants import VOXEL
+from evogymcm.sim.kernels._jit import inlined, inner, kernel
+from evogymcm.sim.kernels.advance import Storage
+from evogymcm.sim.kernels.candidates import position
 from evogymcm.sim.tables import Layout, Terrain, in_two, layout_of, part, terrain_of
 
 _TWO_PI = 2.0 * 3.1415926  # EvoGym's value, seven digits of pi

@@ -18,21 +18,23 @@ _compile: Any = partial(numba.njit, cache=True, error_model="numpy", nogil=True,
 
 
 def _digest() -> str:
-    """Returns a digest of the package's sources that hold kernels, and of whether these are to check indices."""
-    package = Path(__file__).parents[1]
-    files = sorted([*package.glob("sim/*.py"), *package.glob("envs/*.py")])
-    return sha256(
-        b"".join([b"checked" * bool(numba.config.BOUNDSCHECK), *(path.read_bytes() for path in files)])
-    ).hexdigest()
+    """Returns a digest of the simulator's sources, and of whether kernels are to check indices."""
+    files = sorted(Path(__file__).parents[1].rglob("*.py"))
+    checked = b"checked" * bool(numba.config.BOUNDSCHECK)
+    return sha256(checked + b"".join(path.read_bytes() for path in files)).hexdigest()
 
 
 _SOURCES = _digest()
 
 
 def _stamped(dispatcher: Any) -> Any:
-    """Ties a kernel on disk to all sources: numba alone would keep a kernel whose callees, in other files, changed."""
+    """Ties a kernel on disk to its own file and all of the simulator's: numba alone looks at its own only.
+
+    Kernels elsewhere call none but those of their file and the simulator's.
+    """
     try:
-        dispatcher._cache._cache_file._source_stamp = _SOURCES
+        own = Path(dispatcher.py_func.__code__.co_filename).read_bytes()
+        dispatcher._cache._cache_file._source_stamp = sha256(_SOURCES.encode() + own).hexdigest()
     except AttributeError:  # the JIT is off, or numba keeps its cache elsewhere
         return dispatcher
     return dispatcher

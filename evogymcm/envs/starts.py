@@ -1,0 +1,34 @@
+"""Starts that differ by a hair, to see how much of an episode is chance: contact makes much of little."""
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from evogymcm.sim.simulator import Simulator
+
+__all__ = ["START_NOISE", "Starts"]
+
+START_NOISE = 1e-6  # metres
+
+
+class Starts:
+    """The starts of the episodes of some worlds.
+
+    Start 0 is the exact one. In the others each point of the robot is moved by normal noise, drawn anew from the seed
+    and the start's number: one start is the same in all worlds, for all their episodes.
+
+    Args:
+        numbers: (N,) which start each world has.
+        seed: Where the noise comes from.
+    """
+
+    def __init__(self, numbers: np.ndarray, seed: int) -> None:
+        self._numbers, self._seed = numbers, seed
+
+    def move(self, simulator: Simulator, worlds: Iterable[int]) -> None:
+        """Moves the robots of worlds that have just been reset."""
+        for world in worlds:
+            if start := int(self._numbers[world]):
+                rng = np.random.default_rng(np.random.SeedSequence(self._seed, spawn_key=(start,)))
+                robot = simulator.objects(world)[0]
+                simulator.move(robot.name, START_NOISE * rng.standard_normal((len(robot.places), 2)), world)

@@ -1,0 +1,92 @@
+"""Training on a stream of random bodies, judged on bodies that it never sees; and on another device."""
+
+from dataclasses import asdict, replace
+
+import numpy as np
+import pytest
+import torch
+
+from evogymcm.algos import PPOConfig, RunFolder, Trainer, load_policy, train
+from evogymcm.algos.learning import TrainConfig
+from evogymcm.algos.learning.bodies import RandomBodies, held_out_bodies
+from evogymcm.algos.learning.training import make_trainer
+from tests.algos.toy_env import ToyEnv
+
+TINY = PPOConfig(total_steps=768, num_worlds=8, rollout_steps=16, epochs=1, minibatch=64, hidden=8, eval_interval=0)
+CONFIG = TrainConfig("Sprint-v0", random_bodies=(3, 3), ppo=replace(TINY, eval_worlds=5))
+
+
+pytestmark = pytest.mark.usefixtures("sprint")  # whose episodes have 12 env-steps
+
+
+def test_training_meets_ever_new_bodies_and_evaluations_the_same_others():
+    with make_trainer(CONFIG, num_threads=1) as trainer:
+        seen, env = set(), trainer._env
+        while not trainer.is_finished:
+            seen |= {body.text for body in env.bodies}
+            trainer.update()
+        played = []
+        make = trainer.make_eval_env
+        trainer.make_eval_env = lambda **options: played.append(make(**options)) or played[-1]
+        trainer.evaluate()
+    assert len(seen) > 3 * TINY.num_worlds  # 8 episodes in each world
+    held_out = [body.text for body in held_out_bodies((3, 3), 5)]
+    assert [body.text for body in played[0].bodies] == held_out
+    assert env.grid_shape == played[0].grid_shape == (3, 3)
+
+
+def test_a_stopped_run_goes_on_with_the_same_bodies(tmp_path):
+    whole = train(CONFIG, num_threads=1)
+    calls = iter(range(100))
+    train(CONFIG, run=tmp_path / "run", should_stop=lambda: next(calls) >= 2, num_threads=1)
+    resumed = train(CONFIG, run=RunFolder(tmp_path / "run", asdict(CONFIG), resume=True), num_threads=1)
+    assert resumed.finished
+    assert resumed.final.score.shape == (5,)
+    assert resumed.final.score.tolist() == whole.final.score.tolist()
+    policy = load_policy(tmp_path / "run")
+    assert policy.make_env(bodies=["HH/VV"], num_threads=1).batch_size == (1,)
+    with pytest.raises(ValueError, match="bodies: got none"):
+        policy.make_env()
+
+
+def test_random_bodies_have_the_stiffness_that_is_given():
+    rng = np.random.default_rng(0)
+    body, field = RandomBodies((4, 3), 0.5)(rng)
+    assert body.shape == field.shape == (4, 3)
+    assert np.array_equal(field == 0.5, body.occupancy)
+    config = replace(CONFIG, task="Walker-v0", stiffness=0.5)
+    with make_trainer(config, num_threads=1) as trainer:
+        engine = trainer._env.engine
+        assert np.array_equal(engine.stiffness == 0.5, engine.occupancy)
+    assert RandomBodies((4, 3))(rng).shape == (4, 3)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        ({"random_bodies": (5, 0)}, "random_bodies: got 0"),
+        ({"random_bodies": 5}, "random_bodies: got 5"),
+        ({"bodies": ("HH/VV",)}, r"random_bodies: got \(3, 3\) and bodies too"),
+        ({"stiffness": (((1.0, 1.0),),)}, "random bodies take one number"),
+        ({"ppo": replace(TINY, sharing="independent")}, "a stream of bodies needs 'shared'"),
+        ({"ppo": replace(TINY, device="cuda:99")}, "device: got 'cuda:99', which torch cannot use here"),
+    ],
+)
+def test_what_does_not_go_together_is_said(wrong, said):
+    with pytest.raises(ValueError, match=said):
+        make_trainer(replace(CONFIG, **wrong), num_threads=1)
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a GPU")
+def test_learning_on_a_gpu_is_that_on_the_processor_but_for_rounding(tmp_path):
+    config, results = replace(TINY, total_steps=256, eval_interval=128), {}
+    for device in ("cpu", "cuda"):
+        run = RunFolder(tmp_path / device, {})
+        results[device] = Trainer(ToyEnv, replace(config, device=device)).train(run=run)
+        assert {value.device.type for value in run.load("final")["actor"].values()} == {"cpu"}
+    for name, value in results["cpu"].actor.state_dict().items():
+        torch.testing.assert_close(results["cuda"].actor.state_dict()[name], value, rtol=1e-2, atol=1e-3)
+    for device in ("cpu", "cuda"):
+        stopped = Trainer(ToyEnv, replace(config, device=device))
+        stopped.load_state_dict(RunFolder.open(tmp_path / device).load("checkpoint")["trainer"])
+        stopped.close()
