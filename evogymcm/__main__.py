@@ -13,9 +13,7 @@ import tyro
 
 from evogymcm import __version__
 from evogymcm._settings import check_choice
-from evogymcm.commands._errors import UsageError, checking_arguments
-from evogymcm.commands._older import in_present_words
-from evogymcm.commands._options import INTERRUPTED
+from evogymcm.commands._options import INTERRUPTED, UsageError, checking_arguments
 
 COMMANDS: MappingProxyType[str, str] = MappingProxyType(  # modules of `evogymcm.commands`, and what they do
     {
@@ -72,6 +70,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         with checking_arguments():  # what settings say of their values
             if arguments[:1] == ["codesign"]:
+                from evogymcm.commands.codesign import in_present_words
+
                 arguments = ["codesign", *in_present_words(arguments[1:])]
             options = _parse(arguments)
         status = int(import_module(f"evogymcm.commands.{arguments[0]}").run(options, arguments[1:]) or 0)

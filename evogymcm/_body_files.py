@@ -12,11 +12,7 @@ from evogymcm.sim.world import World
 
 
 def read_body(path: Path) -> Body:
-    """Returns the body in a file, see `evogymcm.as_body`.
-
-    Raises:
-        ValueError: There is no such file, it is none of these kinds, or it holds no valid body.
-    """
+    """Returns the body in a file, see `evogymcm.as_body`."""
     readers = dict(zip(FILE_SUFFIXES, (_from_npz, _from_npy, _from_text, _from_json), strict=True))
     read = readers.get(path.suffix.lower())
     name = repr(str(path)) if len(str(path)) < 80 else brief(path.name)

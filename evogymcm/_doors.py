@@ -4,8 +4,6 @@ from collections.abc import Callable, Mapping, Sequence
 from importlib import import_module
 from typing import Any
 
-__all__ = ["door"]
-
 
 def door(
     package: str, modules: Mapping[str, Sequence[str]]
@@ -27,7 +25,4 @@ def door(
         home = homes[name]
         return getattr(import_module(home if home.startswith("evogymcm.") else f"{package}.{home}"), name)
 
-    def listed() -> list[str]:
-        return names
-
-    return get, listed, names
+    return get, names.copy, names

@@ -18,10 +18,10 @@ def some(values: Iterable[Any], limit: int = 5) -> str:
     return shown if len(items) <= limit else f"{shown} and {len(items) - limit} more"
 
 
-def known(given: Any, names: Iterable[str], limit: int = 12) -> str:
+def known(given: Any, names: Iterable[str]) -> str:
     """Returns the names, or of many those that resemble what was given, and how many there are."""
     items = list(names)
-    if len(items) <= limit:
+    if len(items) <= 12:
         return ", ".join(items)
     alike = get_close_matches(str(given), items, 3, 0.5)
     return some([*alike, *(name for name in items if name not in alike)])

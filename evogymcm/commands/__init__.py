@@ -1,1 +1,1 @@
-"""The subcommands of `python -m evogymcm`, a module each, with `add_parser` and `run`."""
+"""The subcommands of `python -m evogymcm`, a module each, with `DESCRIPTION`, `Options` and `run`."""

@@ -1,9 +1,10 @@
-"""What the commands share: bodies and stiffness as text, run folders, loggers, the progress bar."""
+"""What the commands share: errors, bodies and stiffness as text, run folders, loggers, the progress bar."""
 
 import importlib.util
 import shlex
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -21,12 +22,25 @@ INTERRUPTED = 130  # exit status after Ctrl-C, as shells have it
 LoggerName = Literal["none", "csv", "tensorboard", "wandb"]
 
 
-def choose_task(task: str | None, world: Path | None) -> str:
-    """Returns the task meant by TASK and --world: an id, or the file of the world to walk in.
+class UsageError(Exception):
+    """An argument cannot be used, or the optional package that it asks for is missing."""
 
-    Raises:
-        ValueError: There is neither, both and the task is not that of walking, or the file is no world.
+
+@contextmanager
+def checking_arguments() -> Iterator[None]:
+    """Turns what the library says of arguments, missing packages and files into a UsageError.
+
+    Only what comes before a command's work belongs in here: the same kinds of errors from the work itself are faults,
+    and hiding where they come from would cost hours.
     """
+    try:
+        yield
+    except (ValueError, OSError, ImportError) as error:
+        raise UsageError(str(error)) from error
+
+
+def choose_task(task: str | None, world: Path | None) -> str:
+    """Returns the task meant by TASK and --world: an id, or the file of the world to walk in."""
     if world is None:
         if not task:
             raise ValueError("TASK: needed, such as Walker-v0 (`evogymcm tasks` lists them), or --world FILE")
@@ -45,9 +59,6 @@ def read_stiffness(texts: Sequence[str], bodies: "Sequence[str | Body]") -> "lis
     Args:
         texts: one for all bodies or one for each: a number, or numbers separated by ',' in rows separated by '/'.
         bodies: bodies, rows of voxels or names.
-
-    Raises:
-        ValueError: A text is no field of its body's shape in [0.5, 2], or there are not as many as bodies.
     """
     if not texts:
         return None
@@ -82,12 +93,7 @@ def write_stiffness(field: "np.ndarray", occupancy: "np.ndarray") -> list[str]:
 
 
 def open_run(path: Path, config: dict[str, Any], *, resume: bool, overwrite: bool) -> "RunFolder":
-    """Opens a run's folder.
-
-    Raises:
-        ValueError: It exists and neither flag is given, both are, the settings are not those of the run to resume, or
-            another process is at work in it.
-    """
+    """Opens a run's folder, or raises a ValueError that says which options help."""
     from evogymcm.algos.runs.folder import RunFolder, RunInUseError
 
     try:

@@ -1,5 +1,6 @@
 """`evogymcm codesign`: evolve bodies together with their material and control, kept in a run folder."""
 
+import sys
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
@@ -9,12 +10,11 @@ import tyro
 from tyro.conf import arg
 
 from evogymcm.algos.codesign.config import CodesignConfig, SearchConfig
-from evogymcm.commands._errors import checking_arguments
-from evogymcm.commands._options import INTERRUPTED, Bar, how_to_resume, open_run, write_stiffness
+from evogymcm.algos.runs.older import of_arm
+from evogymcm.commands._options import INTERRUPTED, Bar, checking_arguments, how_to_resume, open_run, write_stiffness
 
 if TYPE_CHECKING:
     from evogymcm.algos.codesign import CodesignProgress, CodesignResult
-    from evogymcm.algos.runs import RunFolder
 
 DESCRIPTION = """Evolves bodies together with their material and control, and keeps all of it in a run folder.
 
@@ -67,6 +67,28 @@ class Options:
     overwrite: bool = False
 
 
+def in_present_words(arguments: Sequence[str]) -> list[str]:
+    """Returns arguments of `codesign` with `--arm` and `--prescribed` as they are written today, and says so."""
+    rest = [part for item in arguments for part in (item.split("=", 1) if item.startswith("--") else [item])]
+    old: dict[str, str] = {}
+    for name in ("arm", "prescribed"):
+        while f"--{name}" in rest:
+            place = rest.index(f"--{name}")
+            old[name] = "".join(rest[place + 1 : place + 2])
+            del rest[place : place + 2]
+    if not old:
+        return list(arguments)
+    now = of_arm(old.get("arm", "reactive"), old.get("prescribed", "1.0"), ["--search"])
+    words = ["--material", now["material"]]
+    words += now["search"] or ([] if now["stiffness"] == 1.0 else ["--stiffness", now["stiffness"]])
+    if not now["search"]:  # whose options had no effect then
+        for place in [i for i, item in enumerate(rest) if item.startswith("--search.")][::-1]:
+            del rest[place : place + 2]
+    said = " ".join(f"--{name} {value}" for name, value in old.items())
+    print(f"evogymcm: {said} is of before and will go; write {' '.join(words)}", file=sys.stderr)
+    return [*rest, *words]
+
+
 def config_of(options: Options, arguments: Sequence[str]) -> CodesignConfig:
     """Returns the settings of the run, with a search where any of its options is among the arguments."""
     settings = {item.name: getattr(options.config, item.name) for item in fields(CodesignConfig)}
@@ -75,25 +97,16 @@ def config_of(options: Options, arguments: Sequence[str]) -> CodesignConfig:
 
 
 def run(options: Options, arguments: Sequence[str]) -> int:
-    """Evolves and returns the exit status.
-
-    Raises:
-        UsageError: An argument cannot be used, or an optional package is missing.
-    """
+    """Evolves and returns the exit status."""
+    from evogymcm.algos.codesign import codesign, cost_of
     from evogymcm.algos.codesign.start import check_start
+    from evogymcm.algos.learning import keep_freed_memory
 
     with checking_arguments():
         config = config_of(options, arguments)
         check_start(config)
         path = options.run or Path("runs") / f"{Path(config.task).stem}-codesign-{config.material}-seed{config.seed}"
         folder = open_run(path, asdict(config), resume=options.resume, overwrite=options.overwrite)
-    return _codesign(config, folder, arguments)
-
-
-def _codesign(config: CodesignConfig, folder: "RunFolder", arguments: Sequence[str]) -> int:
-    from evogymcm.algos.codesign import codesign, cost_of
-    from evogymcm.algos.learning import keep_freed_memory
-
     cost = cost_of(config)
     limit = cost.total if config.max_env_steps is None else min(cost.total, config.max_env_steps)
     parts = ", ".join(f"{name} {steps:,}" for name, steps in asdict(cost).items() if steps)

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import tyro
 
-from evogymcm.commands._errors import checking_arguments
+from evogymcm.commands._options import checking_arguments
 
 DESCRIPTION = """Makes one HTML file of training, co-design or suite folders.
 
@@ -34,11 +34,7 @@ class Options:
 
 
 def run(options: Options, arguments: Sequence[str]) -> int:
-    """Writes the report and returns the exit status.
-
-    Raises:
-        UsageError: A folder or the file's name cannot be used, or a package of the extra `report` is missing.
-    """
+    """Writes the report and returns the exit status."""
     from evogymcm.report.page import prepare, write_page
 
     with checking_arguments():

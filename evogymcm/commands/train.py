@@ -11,12 +11,12 @@ from tyro.conf import arg
 
 from evogymcm._settings import EdgeRule, Material
 from evogymcm.algos.learning.config import PPOConfig, TrainConfig
-from evogymcm.commands._errors import checking_arguments
 from evogymcm.commands._options import (
     INTERRUPTED,
     Bar,
     LoggerName,
     check_logger,
+    checking_arguments,
     choose_task,
     how_to_resume,
     make_logger,
@@ -33,7 +33,8 @@ Ctrl-C stops at the end of the present update; --resume goes on from there.
 
 examples:
   evogymcm train Walker-v0 --body Walk_Bot --total-steps 200000
-  evogymcm train Walker-v0 --body HHH/V.V --material invariant --stiffness 2,2,2/0.5,1,0.5
+  evogymcm train Walker-v0 --body HHH/V.V --stiffness 2,2,2/0.5,1,0.5
+  evogymcm train Walker-v0 --body HHH/V.V --material reactive
   evogymcm train Walker-v0 --random-bodies 5 5 --hidden 64
   evogymcm train --world terrain.json --body robot.npz
   evogymcm train Walker-v0 --body Walk_Bot --run runs/first --logger csv
@@ -51,8 +52,8 @@ class Options:
             side.
         random_bodies: rows and columns of random bodies, a fresh one in every episode; evaluations use others.
         material: whether the policy sets stiffness too ("reactive"), or stiffness belongs to the body.
-        stiffness: with --material invariant, a number, or numbers in rows like the body's (2,2,2/0.5,1,0.5); one
-            for all bodies or one for each.
+        stiffness: invariant only: a number, or numbers in rows like the body's (2,2,2/0.5,1,0.5); one for all bodies
+            or one for each.
         edge_rule: how stiffness acts on shared edges.
         run: folder of the run.
         resume: continue the run in the folder.
@@ -68,7 +69,7 @@ class Options:
     random_bodies: Annotated[
         tuple[int, int] | None, arg(metavar="ROWS COLUMNS", help_behavior_hint="(default: BODY)")
     ] = None
-    material: Material = "reactive"
+    material: Material = "invariant"
     stiffness: Annotated[tuple[str, ...], arg(metavar="FIELD", help_behavior_hint="(default: 1)")] = ()
     edge_rule: EdgeRule = "mean_factor"
     run: Annotated[Path | None, arg(metavar="FOLDER", help_behavior_hint="(default: runs/TASK-MATERIAL-seedSEED)")] = (
@@ -82,11 +83,7 @@ class Options:
 
 
 def run(options: Options, arguments: Sequence[str]) -> int:
-    """Trains and returns the exit status.
-
-    Raises:
-        UsageError: An argument cannot be used, or a logger's package is missing.
-    """
+    """Trains and returns the exit status."""
     from evogymcm.algos.learning import keep_freed_memory, train
     from evogymcm.algos.learning.training import make_trainer
 
@@ -109,11 +106,7 @@ def run(options: Options, arguments: Sequence[str]) -> int:
 
 
 def _config(options: Options) -> TrainConfig:
-    """Returns the settings of the run, with bodies that mean the same wherever it is looked at.
-
-    Raises:
-        ValueError: A world, body or stiffness cannot be used.
-    """
+    """Returns the settings of the run, with bodies that mean the same wherever it is looked at."""
     task = choose_task(options.task, options.world)
     config = TrainConfig(
         task,

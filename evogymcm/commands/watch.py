@@ -1,6 +1,5 @@
 """`evogymcm watch`: robots in motion, in a window or a file."""
 
-import importlib.util
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,8 +10,7 @@ from tyro.conf import arg
 
 from evogymcm._settings import Material, check_count
 from evogymcm.algos.learning.bodies import default_body
-from evogymcm.commands._errors import checking_arguments
-from evogymcm.commands._options import choose_task, read_stiffness
+from evogymcm.commands._options import checking_arguments, choose_task, read_stiffness
 
 if TYPE_CHECKING:  # torch and numba are loaded when the command runs, not for its help
     import numpy as np
@@ -20,13 +18,12 @@ if TYPE_CHECKING:  # torch and numba are loaded when the command runs, not for i
 
     from evogymcm.algos.learning.playing import Gait
     from evogymcm.envs import SoftRobotEnv, TaskEngine
-    from evogymcm.envs.render.renderer import Renderer
 
 DESCRIPTION = """Shows an episode, in a window or as a video, and prints the scores.
 
 examples:
   evogymcm watch Walker-v0 --body Walk_Bot
-  evogymcm watch Walker-v0 --body HHH/V.V --material invariant --stiffness 2,2,2/0.5,1,0.5 --view stiffness
+  evogymcm watch Walker-v0 --body HHH/V.V --stiffness 2,2,2/0.5,1,0.5 --view stiffness
   evogymcm watch --world terrain.json --body robot.npz
   evogymcm watch --policy runs/first --out walk.mp4
   evogymcm watch BridgeWalker-v0 --policy runs/first --body HHH/V.V HHHH/V..V    # also what it has never seen"""
@@ -58,7 +55,7 @@ class Options:
     body: Annotated[
         tuple[str, ...], arg(metavar="BODY", help_behavior_hint="(default: the policy's, or the task's own robot)")
     ] = ()
-    material: Annotated[Material | None, arg(help_behavior_hint="(default: the policy's, or reactive)")] = None
+    material: Annotated[Material | None, arg(help_behavior_hint="(default: the policy's, or invariant)")] = None
     stiffness: Annotated[
         tuple[str, ...], arg(metavar="FIELD", help_behavior_hint="(default: the policy's for its own bodies, or 1)")
     ] = ()
@@ -72,11 +69,7 @@ class Options:
 
 
 def run(options: Options, arguments: Sequence[str]) -> int:
-    """Shows an episode and returns the exit status.
-
-    Raises:
-        UsageError: An argument cannot be used, or a package of the extra `render` is missing.
-    """
+    """Shows an episode and returns the exit status."""
     with checking_arguments():
         for name in ("steps", "every"):
             if getattr(options, name) is not None:
@@ -87,8 +80,16 @@ def run(options: Options, arguments: Sequence[str]) -> int:
         renderer = Renderer(env, options.width, options.height, options.view)
         engine = renderer.engine
         out = _out(options.out, engine.task.id)
+    from evogymcm.algos.learning import play
+
+    engine.set_seed(0)  # the same episode whenever it is watched
     steps = options.steps or engine.task.time_limit
-    _show(_pictures(env, policy, renderer, steps, options.every), engine.task.id, out, options.every)
+    pictures = (
+        renderer.frame() if engine.num_worlds == 1 else renderer.grid()
+        for now in play(policy, env, steps=steps)
+        if now.step % options.every == 0 or now.step == steps or not now.running.any()
+    )
+    _show(pictures, engine.task.id, out, options.every)
     for world, body in enumerate(engine.bodies):
         print(f"{body.text}: {engine.length[world]} env-steps, score {engine.score[world]:.3f}")
     return 0
@@ -102,7 +103,7 @@ def _worlds(options: Options) -> "tuple[TaskEngine | SoftRobotEnv, TensorDictMod
     if options.policy is None:
         task = choose_task(options.task, options.world)
         shown = [as_body(body) for body in options.body or [default_body(task)]]
-        fields, material = read_stiffness(options.stiffness, shown), options.material or "reactive"
+        fields, material = read_stiffness(options.stiffness, shown), options.material or "invariant"
         return TaskEngine(task, shown, material=material, stiffness=fields, with_voxels=False), sine_gait
     from evogymcm.algos.runs import load_policy
 
@@ -116,31 +117,9 @@ def _worlds(options: Options) -> "tuple[TaskEngine | SoftRobotEnv, TensorDictMod
     return env, saved.module(env)
 
 
-def _pictures(
-    env: "TaskEngine | SoftRobotEnv",
-    policy: "TensorDictModuleBase | Gait",
-    renderer: "Renderer",
-    steps: int,
-    every: int,
-) -> "Iterator[np.ndarray]":
-    """Yields pictures until the steps are done or all episodes have ended."""
-    from evogymcm.algos.learning import play
-
-    engine = renderer.engine
-    engine.set_seed(0)  # the same episode whenever it is watched
-    for now in play(policy, env, steps=steps):
-        if now.step % every == 0 or now.step == steps or not now.running.any():
-            yield renderer.frame() if engine.num_worlds == 1 else renderer.grid()
-
-
 def _out(given: Path | None, task: str) -> Path | None:
-    """Returns the file to write, None for a window.
-
-    Raises:
-        ImportError: A package that it needs is missing.
-        ValueError: There is no such format or folder.
-    """
-    from evogymcm.envs._extras import load_imageio
+    """Returns the file to write, None for a window."""
+    from evogymcm._extras import load_ffmpeg, load_imageio
     from evogymcm.envs.render.display import has_display
     from evogymcm.envs.render.video import VIDEOS
 
@@ -153,8 +132,8 @@ def _out(given: Path | None, task: str) -> Path | None:
     if not out.parent.is_dir():
         raise ValueError(f"out: the folder {out.parent} does not exist")
     load_imageio()
-    if suffix == ".mp4" and importlib.util.find_spec("imageio_ffmpeg") is None:
-        raise ImportError("MP4 needs imageio-ffmpeg: pip install evogymcm[render]")
+    if suffix == ".mp4":
+        load_ffmpeg()
     return out
 
 

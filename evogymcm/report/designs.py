@@ -13,8 +13,6 @@ from evogymcm.report.pictures import average_field, body_svg, stiffness_ramp, st
 from evogymcm.report.sources import Arm
 from evogymcm.report.tables import tasks_of
 
-__all__ = ["design_sections"]
-
 _AVERAGED = 5  # best designs of each run in an average
 
 
@@ -23,10 +21,6 @@ def design_sections(arms: Sequence[Arm]) -> list[Section]:
     runs = [(arm, run) for task in tasks_of(arms, "codesign") for arm in arms for run in arm.of(task, "codesign")]
     runs = [(arm, run) for arm, run in runs if run.designs]
     return [_best(runs), _evolution(arms, runs), _stiffness(arms)] if runs else []
-
-
-def _title(arm: Arm, run: RunRecord) -> str:
-    return f"{run.task}, {arm.label}" + ("" if run.seed is None else f", seed {run.seed}")
 
 
 def _body(row: Row) -> Body:
@@ -38,7 +32,7 @@ def _best(runs: Sequence[tuple[Arm, RunRecord]]) -> Section:
     pictures = []
     for arm, run in runs:
         best = run.ranked()[0]
-        caption = f"{_title(arm, run)}: {best['fitness']:z.2f}"
+        caption = f"{arm.title(run)}: {best['fitness']:z.2f}"
         pictures.append(Picture(body_svg(_body(best)), caption))
     caption = "The best design of each run with its fitness, the score of its stored policy."
     return Section("Best designs", [Pictures("", [Picture(types_svg())]), Pictures("", pictures, caption)])
@@ -63,7 +57,7 @@ def _evolution(arms: Sequence[Arm], runs: Sequence[tuple[Arm, RunRecord]]) -> Se
             line = ancestors(run.designs, run.ranked()[0]["index"])[::-1]
             text = "Line of the best: " + " → ".join(_step(run.designs[index]) for index in line) + "."
             tree = Pictures("", [Picture(lineage_svg(run))], text, is_wide=True)
-            trees.append(Fold(_title(arm, run), [tree], is_open=not trees))
+            trees.append(Fold(arm.title(run), [tree], is_open=not trees))
     return Section("Evolution of designs", [*parts, Note(note), *trees] if trees else parts)
 
 
@@ -98,11 +92,10 @@ def _fields(title: str, runs: Sequence[RunRecord]) -> Pictures:
                 seed = "" if run.seed is None else f"seed {run.seed}, "
                 caption = f"{seed}best design (no. {row.get('index', '?')}): {row['fitness']:z.2f}"
                 pictures.append(Picture(stiffness_svg(field, body.occupancy), caption))
-    pictures += [_average(designs) for designs in chosen.values() if len(designs) > 1]
+    for designs in chosen.values():
+        if len(designs) > 1:
+            mean, counts = average_field(designs)
+            hints = [f"{counts[cell]} of {len(designs)} designs" for cell in zip(*np.nonzero(counts), strict=True)]
+            caption = f"average over {len(designs)} of the best designs"
+            pictures.append(Picture(stiffness_svg(mean, counts > 0, hints), caption))
     return Pictures(title, pictures)
-
-
-def _average(designs: Sequence[tuple[Body, np.ndarray]]) -> Picture:
-    mean, counts = average_field(designs)
-    hints = [f"{counts[row, column]} of {len(designs)} designs" for row, column in np.argwhere(counts)]
-    return Picture(stiffness_svg(mean, counts > 0, hints), f"average over {len(designs)} of the best designs")

@@ -1,13 +1,12 @@
 """The family tree of a co-design run: bodies by generation, joined to their parents."""
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from html import escape
 
 from evogymcm.algos.runs.record import Row, RunRecord
 from evogymcm.body import Body
 from evogymcm.report.pictures import body_shapes
-
-__all__ = ["ancestors", "lineage_svg", "shown_by_generation"]
 
 MOST = 8  # bodies shown of a generation, ancestors of the best besides
 _ACROSS, _DOWN, _SIZE, _LEFT = 78, 104, 46, 92  # pixels: pitch, size of a picture, room for the generation's number
@@ -39,10 +38,7 @@ def lineage_svg(run: RunRecord) -> str:
     best = run.ranked()[0]
     line = ancestors(run.designs, best["index"])
     shown = shown_by_generation(run, line)
-    totals: dict[int, int] = {}
-    for row in run.ranked():
-        generation = int(row.get("generation") or 0)
-        totals[generation] = totals.get(generation, 0) + 1
+    totals = Counter(int(row.get("generation") or 0) for row in run.ranked())
     places = {
         row["index"]: (_LEFT + _ACROSS * column, _DOWN * at)
         for at, group in enumerate(shown.values())

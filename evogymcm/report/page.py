@@ -1,19 +1,17 @@
 """The page: its sections, and how it is written."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from itertools import count
 from pathlib import Path
-from typing import Any
 
+from evogymcm._extras import load_extra, load_plotly
 from evogymcm.algos.analysis import interval_note
 from evogymcm.algos.runs.record import Kind
 from evogymcm.report import figures, tables
 from evogymcm.report.designs import design_sections
-from evogymcm.report.figures import load_plotly
 from evogymcm.report.parts import Figure, Fold, Note, Part, Picture, Pictures, Section
 from evogymcm.report.signals import signal_parts
 from evogymcm.report.sources import Arm, Source, make_arms, read_sources
-
-__all__ = ["make_report", "write_report"]
 
 
 def write_report(
@@ -73,10 +71,7 @@ def make_report(runs: Sequence[str | Path], *, animations: bool = True) -> str:
 def _check_packages() -> None:
     """Raises an ImportError, naming the extra, where one of its packages is missing."""
     load_plotly()
-    try:
-        import jinja2  # noqa: F401
-    except ImportError as error:
-        raise ImportError("reports need jinja2, which cannot be imported: pip install evogymcm[report]") from error
+    load_extra("jinja2", "reports need jinja2, which cannot be imported", "report")
 
 
 def _page(sources: Sequence[Source], *, animations: bool) -> str:
@@ -128,7 +123,7 @@ def _training(arms: Sequence[Arm]) -> list[Section]:
     for task in tables.tasks_of(arms, "train"):
         extra = " Dotted: the paper's score." if any(task in arm.paper for arm in arms) else ""
         shown = note + extra if max(counts) > 1 else extra.strip()
-        parts.append(Figure(task, figures.learning_curves(task, arms), shown))
+        parts.append(Figure(task, figures.curves(task, arms, "train"), shown))
     return [Section("Training", parts)]
 
 
@@ -145,7 +140,7 @@ def _codesign(arms: Sequence[Arm]) -> list[Section]:
     parts: list[Part] = [tables.codesign_scores(arms, caption + interval_note(counts))]
     note = "Mean over seeds with the table's interval, as far as all seeds have a score; thin lines are single seeds."
     for task in tables.tasks_of(arms, "codesign"):
-        parts.append(Figure(task, figures.codesign_curves(task, arms), note if max(counts) > 1 else ""))
+        parts.append(Figure(task, figures.curves(task, arms, "codesign"), note if max(counts) > 1 else ""))
     return [Section("Co-design", parts)]
 
 
@@ -154,9 +149,8 @@ def _signals(arms: Sequence[Arm]) -> list[Section]:
     runs = [(arm, run) for arm in arms for run in arm.runs if run.signals]
     folds: list[Part] = []
     for i, (arm, run) in enumerate(runs):
-        seed = "" if run.seed is None else f", seed {run.seed}"
         assert run.signals is not None
-        folds.append(Fold(f"{run.task}, {arm.label}{seed}", signal_parts(run.signals), is_open=i == 0))
+        folds.append(Fold(arm.title(run), signal_parts(run.signals), is_open=i == 0))
     note = Note("One episode of the deterministic policy, voxel by voxel.")
     return [Section("Signals of policies that set stiffness", [note, *folds])] if folds else []
 
@@ -169,11 +163,11 @@ def _animations(arms: Sequence[Arm]) -> list[Section]:
     pictures = []
     for scene in scenes:
         try:
-            uri, caption = animate(scene)
+            uri, caption = animate(*scene)
         except ImportError as error:
             return [Section("Best designs in motion", [Note(f"Left out: {error}")])]
         except ValueError as error:
-            notes.append(f"{scene.run.name}: {error}")
+            notes.append(f"{scene[1].name}: {error}")
             continue
         pictures.append(Picture(f'<img src="{uri}" width="360" height="200" alt="animation">', caption))
     parts: list[Part] = [Pictures("", pictures)] if pictures else []
@@ -195,29 +189,22 @@ def _render(title: str, sections: Sequence[Section]) -> str:
     environment = Environment(
         loader=PackageLoader("evogymcm.report"), autoescape=True, undefined=StrictUndefined, trim_blocks=True
     )
-    environment.globals["plot"] = _plotter(Markup)
+    numbers = count(1)
+
+    def plot(part: Figure) -> Markup:
+        html = part.figure.to_html(
+            full_html=False,
+            include_plotlyjs=False,
+            include_mathjax=False,
+            div_id=f"figure-{next(numbers)}",
+            default_height=f"{part.height}px",
+            config={"responsive": True, "displaylogo": False},
+        )
+        return Markup(html)
+
+    environment.globals["plot"] = plot
     environment.filters["markup"] = Markup
     style = files("evogymcm.report").joinpath("templates/report.css").read_text(encoding="utf-8")
     return environment.get_template("report.html").render(
         title=title, sections=sections, version=__version__, style=Markup(style), plotly=Markup(get_plotlyjs())
     )
-
-
-def _plotter(markup: Callable[[str], Any]) -> Callable[[Figure], Any]:
-    """Returns what turns figures into markup, each under a number of its own."""
-    count = 0
-
-    def plot(part: Figure) -> Any:
-        nonlocal count
-        count += 1
-        html = part.figure.to_html(
-            full_html=False,
-            include_plotlyjs=False,
-            include_mathjax=False,
-            div_id=f"figure-{count}",
-            default_height=f"{part.height}px",
-            config={"responsive": True, "displaylogo": False},
-        )
-        return markup(html)
-
-    return plot

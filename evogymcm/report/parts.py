@@ -4,8 +4,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
-__all__ = ["Figure", "Fold", "Note", "Part", "Picture", "Pictures", "Section", "Table"]
-
 
 @dataclass(frozen=True)
 class Note:

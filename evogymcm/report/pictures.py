@@ -9,8 +9,6 @@ from numpy.typing import NDArray
 from evogymcm.body import EMPTY, H_ACT, RIGID, SOFT, STIFFNESS_HIGH, STIFFNESS_LOW, V_ACT, Body
 from evogymcm.envs.render import palette
 
-__all__ = ["average_field", "body_shapes", "body_svg", "cells_svg", "ramp_svg", "stiffness_svg", "types_svg"]
-
 Field = NDArray[np.float64]
 Colours = Callable[[Field], NDArray[np.int64]]
 
@@ -59,9 +57,9 @@ def _marks(chosen: NDArray[np.bool_], code: int) -> str:
     return f'<path d="{strokes}" fill="{ink}"/>'
 
 
-def body_svg(body: Body, size: int = 90) -> str:
-    """Returns the picture of a body, voxels by type, `size` pixels along its longer side."""
-    unit = size / max(body.shape)
+def body_svg(body: Body) -> str:
+    """Returns the picture of a body, voxels by type, 90 pixels along its longer side."""
+    unit = 90 / max(body.shape)
     return _svg(body.cols * unit, body.rows * unit, body_shapes(body), body.text, (0, 0, body.cols, body.rows))
 
 
@@ -103,18 +101,13 @@ def cells_svg(
         hint = f"<title>{escape(hints[i])}</title>" if hints else ""
         fill = _EMPTY if colour is None else css(colour)
         square = f'<rect width="{_CELL}" height="{_CELL}" fill="{fill}" stroke="#fff"/>'
-        ink = "#fff" if colour is not None and np.dot(colour, (0.299, 0.587, 0.114)) < 140 else palette_ink()
+        ink = "#fff" if colour is not None and np.dot(colour, (0.299, 0.587, 0.114)) < 140 else css(palette.INK)
         number = form.format(value) if is_known else ""
         text = f'<text x="{_CELL / 2}" y="{0.64 * _CELL:g}" text-anchor="middle" font-size="11" fill="{ink}">'
         place = f"translate({column * _CELL} {row * _CELL})"
         parts.append(f'<g transform="{place}">{hint}{square}{text}{number}</text></g>')
     height, width = (_CELL * count for count in values.shape)
     return _svg(width, height, "".join(parts), "values of the voxels", (0, 0, width, height))
-
-
-def palette_ink() -> str:
-    """Returns the colour of text on light ground."""
-    return css(palette.INK)
 
 
 def ramp_svg(colours: Colours, low: float, high: float, labels: Sequence[str], *, is_log: bool) -> str:
@@ -138,9 +131,6 @@ def average_field(designs: Sequence[tuple[Body, Field]]) -> tuple[Field, NDArray
 
     Args:
         designs: bodies and their fields, all of one shape.
-
-    Raises:
-        ValueError: There is none, or the shapes differ.
     """
     shapes = {body.shape for body, _ in designs}
     if len(shapes) != 1:

@@ -1,19 +1,14 @@
 """Signals of a policy that sets stiffness: time series, spectra, lags and what happens around impacts."""
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from evogymcm.algos.runs.record import Row
-from evogymcm.report.figures import load_plotly, new_figure
+from evogymcm.report.figures import new_figure
 from evogymcm.report.parts import Figure, Note, Part, Picture, Pictures, Table
 from evogymcm.report.pictures import cells_svg, ramp_svg, stiffness_ramp, stiffness_svg
-
-if TYPE_CHECKING:
-    import plotly.graph_objects as go
-
-__all__ = ["signal_parts"]
 
 _ACTUATION, _STIFFNESS, _CONTACT = "#0072b2", "#d55e00", "#6b727c"
 _SHOWN = 200  # env-steps of the time series
@@ -50,7 +45,6 @@ def _times(length: int, step: float | None) -> tuple[np.ndarray, str]:
 
 def _series(voxels: Sequence[Row], step: float | None) -> Figure:
     """Actuation and stiffness of the voxel in which they go together most closely."""
-    go = load_plotly()
     voxel = max(voxels, key=lambda voxel: (voxel.get("actuation") is not None, voxel.get("correlation") or -2.0))
     times, unit = _times(min(len(voxel["stiffness"]), _SHOWN), step)
     figure = new_figure(unit, "stiffness; actuation")
@@ -59,13 +53,11 @@ def _series(voxels: Sequence[Row], step: float | None) -> Figure:
         traces.append(("actuation (target length)", voxel["actuation"], _ACTUATION))
     for name, values, colour in traces:
         line = {"color": colour, "width": 1.8, "shape": "hv"}
-        figure.add_trace(go.Scatter(x=times, y=values[:_SHOWN], name=name, line=line, mode="lines"))
+        figure.add_scatter(x=times, y=values[:_SHOWN], name=name, line=line, mode="lines")
     touching = [time for time, touches in zip(times, voxel.get("contact") or (), strict=False) if touches]
     if touching:
         marker = {"color": _CONTACT, "symbol": "square", "size": 5}
-        figure.add_trace(
-            go.Scatter(x=touching, y=[0.42] * len(touching), name="on the ground", mode="markers", marker=marker)
-        )
+        figure.add_scatter(x=touching, y=[0.42] * len(touching), name="on the ground", mode="markers", marker=marker)
     caption = f"The voxel in {_name(voxel)}, the first {len(times)} env-steps."
     if voxel.get("correlation") is not None:
         caption += " Of all actuators it is the one whose stiffness follows its actuation most closely."
@@ -76,7 +68,6 @@ def _maps_over_time(voxels: Sequence[Row], step: float | None) -> Figure:
     """Actuation and stiffness of all voxels over time."""
     from plotly.subplots import make_subplots
 
-    go = load_plotly()
     driven = [voxel for voxel in voxels if voxel.get("actuation")]
     groups = [("actuation", driven, "Blues", 0.6, 1.6), ("stiffness", list(voxels), "Viridis_r", 0.5, 2.0)]
     groups = [group for group in groups if group[1]]
@@ -92,11 +83,10 @@ def _maps_over_time(voxels: Sequence[Row], step: float | None) -> Figure:
         low_share = 1 - sum(heights[:i]) / sum(heights)
         bar = {"len": 0.9 * heights[i - 1] / sum(heights), "y": low_share, "yanchor": "bottom", "thickness": 12}
         # Voxels are numbered, as labels alone would be read as decimal numbers.
-        trace = go.Heatmap(
+        figure.add_heatmap(
             x=times, y=np.arange(len(members)), z=values, colorscale=scale, zmin=low, zmax=high, colorbar=bar,
-            hovertemplate=f"%{{x:.3f}}: {name} %{{z:z.2f}}<extra></extra>",
+            hovertemplate=f"%{{x:.3f}}: {name} %{{z:z.2f}}<extra></extra>", row=i, col=1,
         )  # fmt: skip
-        figure.add_trace(trace, row=i, col=1)
         every = max(1, len(labels) // 10)
         axis = {"tickvals": list(range(0, len(labels), every)), "ticktext": labels[::every]}
         axis["title"] = {"text": name, "font_size": 13}
@@ -160,21 +150,18 @@ def _cells(voxels: Sequence[Row]) -> Part:
 
 
 def _spectra(spectra: Row) -> Figure:
-    go = load_plotly()
     figure = new_figure("cycles per simulated second", "mean power density")
     for name, colour in (("actuation", _ACTUATION), ("stiffness", _STIFFNESS)):
         if spectra.get(name):
             line = {"color": colour, "width": 1.8}
-            figure.add_trace(go.Scatter(x=spectra["frequency"], y=spectra[name], name=name, line=line, mode="lines"))
+            figure.add_scatter(x=spectra["frequency"], y=spectra[name], name=name, line=line, mode="lines")
     return Figure("Spectra", figure, "Means over the actuators.")
 
 
 def _around_impacts(contact: Row) -> Figure:
-    figure: go.Figure = new_figure("env-steps after touch-down", "mean stiffness")
+    figure = new_figure("env-steps after touch-down", "mean stiffness")
     line = {"color": _STIFFNESS, "width": 2}
-    figure.add_trace(
-        load_plotly().Scatter(x=contact["lags"], y=contact.get("stiffness"), line=line, mode="lines+markers")
-    )
+    figure.add_scatter(x=contact["lags"], y=contact.get("stiffness"), line=line, mode="lines+markers")
     figure.add_vline(x=0, line={"color": _CONTACT, "dash": "dash", "width": 1})
     caption = f"Mean over {contact['n_impacts']} impacts of voxels."
     rise = contact.get("rise_before_impact")

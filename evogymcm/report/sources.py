@@ -10,8 +10,6 @@ from typing import Any
 from evogymcm.algos.runs.folder import TABLE, RunFiles
 from evogymcm.algos.runs.record import Kind, Row, RunRecord
 
-__all__ = ["Arm", "Source", "make_arms", "read_source", "read_sources"]
-
 Groups = dict[tuple[str, str], list[tuple["Source", RunRecord]]]  # by arm and settings
 
 _COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#7f7f7f", "#000000")  # Okabe and Ito
@@ -69,13 +67,13 @@ class Arm:
         """Returns the runs of a task and kind."""
         return [run for run in self.runs if run.task == task and run.kind == kind]
 
+    def title(self, run: RunRecord) -> str:
+        """Returns what one of the runs is called."""
+        return f"{run.task}, {self.label}" + ("" if run.seed is None else f", seed {run.seed}")
+
 
 def read_sources(paths: Sequence[Path]) -> list[Source]:
-    """Returns what lies in the folders, under names that differ.
-
-    Raises:
-        ValueError: There is no folder, one is given twice, or one holds no run.
-    """
+    """Returns what lies in the folders, under names that differ."""
     if not paths:
         raise ValueError("runs: got none, at least one run folder is needed")
     resolved = [path.resolve() for path in paths]
@@ -95,11 +93,7 @@ def _names(paths: Sequence[Path]) -> list[str]:
 
 
 def read_source(path: Path, name: str | None = None) -> Source:
-    """Returns what lies in a folder, recognised by its content.
-
-    Raises:
-        ValueError: It is no folder, holds no run, or none that has begun.
-    """
+    """Returns what lies in a folder, recognised by its content."""
     if not path.is_dir():
         raise ValueError(f"runs: {path} is not a folder")
     name = name or path.resolve().name

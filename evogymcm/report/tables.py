@@ -3,12 +3,12 @@
 from collections.abc import Iterable, Sequence
 from typing import Any
 
+import numpy as np
+
 from evogymcm.algos.analysis import Summary, resample, summarise
 from evogymcm.algos.runs.record import NOT_RECORDED, Kind, Row, RunRecord
 from evogymcm.report.parts import Table
 from evogymcm.report.sources import Arm, Source
-
-__all__ = ["codesign_scores", "source_table", "tasks_of", "training_scores"]
 
 
 def tasks_of(arms: Iterable[Arm], kind: Kind) -> list[str]:
@@ -53,12 +53,9 @@ def _listed(items: Iterable[Any]) -> str:
 
 
 def _hardware(machine: Any) -> str:
-    parts = [str(machine.get("cpu") or "")]
-    if machine.get("cores"):
-        parts.append(f"{machine['cores']} cores")
-    if machine.get("memory_gib"):
-        parts.append(f"{machine['memory_gib']:g} GiB")
-    return ", ".join([*filter(None, parts), *filter(None, [machine.get("system")])])
+    cores, memory = machine.get("cores"), machine.get("memory_gib")
+    parts = (machine.get("cpu"), cores and f"{cores} cores", memory and f"{memory:g} GiB", machine.get("system"))
+    return ", ".join(str(part) for part in parts if part)
 
 
 def _budget(source: Source) -> str:
@@ -182,8 +179,6 @@ def codesign_scores(arms: Sequence[Arm], caption: str) -> Table:
 
 
 def _codesign_row(task: str, arm: Arm, runs: Sequence[RunRecord], end: float) -> list[str]:
-    import numpy as np
-
     at = [float(resample(run.curve, np.array([end]), is_stepwise=True)[0]) for run in runs]
     scores = _summary(value if np.isfinite(value) else None for value in at)
     n_finished = sum(run.finished for run in runs)

@@ -16,8 +16,7 @@ from evogymcm.algos import BodyPPOConfig
 from evogymcm.algos.codesign import CodesignConfig, SearchConfig, codesign, cost_of
 from evogymcm.algos.codesign.parallel import codesign_in
 from evogymcm.commands import _options
-from evogymcm.commands._older import in_present_words
-from evogymcm.commands.codesign import Options, config_of
+from evogymcm.commands.codesign import Options, config_of, in_present_words
 from tests.commands.tools import refused
 
 PPO = ["--ppo.total-steps", "64", "--ppo.num-worlds", "4", "--ppo.rollout-steps", "8", "--ppo.hidden", "8"]

@@ -32,12 +32,12 @@ def number(text, name):
 def test_a_run_from_end_to_end(sprint, capsys, tmp_path):
     assert main(["train", sprint, "--body", BODY, *TINY]) == 0
     out, err = capsys.readouterr()
-    run = tmp_path / "runs" / "Sprint-v0-reactive-seed0"
+    run = tmp_path / "runs" / "Sprint-v0-invariant-seed0"
     config = json.loads((run / "config.json").read_text())
-    assert (config["task"], config["bodies"], config["material"]) == (sprint, [BODY], "reactive")
+    assert (config["task"], config["bodies"], config["material"]) == (sprint, [BODY], "invariant")
     assert config["ppo"]["total_steps"] == 64
 
-    env = SoftRobotEnv(sprint, BODY, 1, material="reactive", num_threads=1)
+    env = SoftRobotEnv(sprint, BODY, 1, num_threads=1)
     alone = evaluate(load_actor(RunFolder.open(run).load("final")), env)
     assert number(out, "score") == pytest.approx(alone.score[0], abs=6e-4)
     assert f"of at most {alone.ceiling[0]:.2f}" in out
@@ -50,8 +50,8 @@ def test_a_run_from_end_to_end(sprint, capsys, tmp_path):
     assert result["final"]["score"] == alone.score[0] == scores[-1]
     assert "64.0/64.0" in err
     assert "env-steps/s" in err
-    assert "evogymcm watch --policy runs/Sprint-v0-reactive-seed0" in out
-    assert "evogymcm report runs/Sprint-v0-reactive-seed0" in out
+    assert "evogymcm watch --policy runs/Sprint-v0-invariant-seed0" in out
+    assert "evogymcm report runs/Sprint-v0-invariant-seed0" in out
 
 
 def test_random_bodies_of_one_stiffness_learn_and_others_are_scored(sprint, capsys, tmp_path):
@@ -120,7 +120,7 @@ def test_nothing_is_touched_where_an_argument_is_bad(sprint, capsys, tmp_path):
     for wrong, message in [
         (["train", "Walkr-v0"], "known are Walker-v0, "),
         ([*command, "--clip", "-1"], "clip"),
-        ([*command, "--stiffness", "1"], "reactive"),
+        ([*command, "--material", "reactive", "--stiffness", "1"], "reactive"),
         ([*command, "--body", "Wolk_Bot"], "Walk_Bot"),
         ([*command, "--body", BODY, OTHER, "--sharing", "independent", "--num-worlds", "3"], "multiple of 2"),
         ([*command, "--body", BODY, OTHER, "--network", "mlp"], "mlp"),
@@ -163,7 +163,7 @@ def test_wandb_logger_writes_into_the_run_without_a_network(sprint, tmp_path, mo
 @pytest.mark.parametrize("sharing", ["shared", "independent"])
 def test_several_bodies_with_fields_of_their_own(sprint, sharing, capsys):
     fields = ["2", "0.5,0.5,0.5/1,1,1.5"]
-    command = ["train", sprint, "--body", BODY, OTHER, "--material", "invariant", "--stiffness", *fields, *TINY]
+    command = ["train", sprint, "--body", BODY, OTHER, "--stiffness", *fields, *TINY]
     assert main([*command, "--sharing", sharing, "--run", "run"]) == 0
     out = capsys.readouterr().out
     shown = [float(text) for text in re.findall(r"^score +(\S+)", out, re.MULTILINE)]
@@ -255,7 +255,7 @@ def test_bodies_and_worlds_come_from_files(capsys, tmp_path, monkeypatch):
     assert [line.split(":")[0] for line in capsys.readouterr().out.splitlines()[1:]] == ["HHH", "V.V/HHH", "HH/VV"]
 
     assert main(["train", "--world", "hills.json", *TINY, "--eval-interval", "0"]) == 0
-    run = tmp_path / "runs" / "hills-reactive-seed0"
+    run = tmp_path / "runs" / "hills-invariant-seed0"
     config = json.loads((run / "config.json").read_text())
     assert (config["task"], config["bodies"]) == ("hills.json", [robot.text])  # its own, as rows
     for task in ([], ["hills.json"], ["--world", "hills.json"]):

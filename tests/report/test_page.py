@@ -15,7 +15,7 @@ from evogymcm.algos import RunRecord
 from evogymcm.algos.learning.threads import exploration
 from evogymcm.report import make_report, write_report
 from evogymcm.report.animations import animate, choose_scenes, gif_uri
-from evogymcm.report.figures import codesign_curves, learning_curves
+from evogymcm.report.figures import curves
 from evogymcm.report.sources import Arm, make_arms, read_source
 from evogymcm.report.tables import codesign_scores, training_scores
 from tests.commands.tools import refused
@@ -48,7 +48,7 @@ def test_a_suite_of_experiment_a(suite):
 
 def test_curves_have_bands_and_the_papers_score(suite):
     arms = make_arms([read_source(suite)])
-    figure = learning_curves("Walker-v0", arms)
+    figure = curves("Walker-v0", arms, "train")
     named = {trace.name: trace for trace in figure.data if trace.name}
     assert set(named) == {
         "control-only, mean of 3 seeds", "co-optimisation, mean of 3 seeds",
@@ -84,13 +84,13 @@ def test_animations_show_what_a_policy_would_do_without_noise(training):
     pytest.importorskip("pygame")
     scene = choose_scenes(make_arms([read_source(training)]))[0][0]
     with exploration(True):  # of whoever calls
-        shown = animate(scene)
-    assert shown == animate(scene)
+        shown = animate(*scene)
+    assert shown == animate(*scene)
 
 
 def test_best_score_of_co_design_is_a_mean_of_steps(evolved):
     arms = make_arms([read_source(evolved)])
-    figure = codesign_curves("Dart-v0", arms)
+    figure = curves("Dart-v0", arms, "codesign")
     named = {trace.name: trace for trace in figure.data if trace.name}
     assert set(named) == {"reactive, seed 0", "invariant, mean of 2 seeds"}
     (reactive,) = [arm.runs[0] for arm in arms if arm.label == "reactive"]
@@ -193,7 +193,7 @@ def test_policies_that_cannot_be_shown_are_named(training, tmp_path):
 
 def test_a_run_of_the_command_line_is_shown(tmp_path, capsys):
     options = "--total-steps 32 --num-worlds 4 --rollout-steps 8 --minibatch 16 --hidden 8 --epochs 1 --eval-worlds 1"
-    body = ["--body", "HVH/S.R", "--material", "invariant", "--stiffness", "2,1,2/0.5,1,0.5"]
+    body = ["--body", "HVH/S.R", "--stiffness", "2,1,2/0.5,1,0.5"]
     main(["train", "Dart-v0", *body, "--run", str(tmp_path / "run"), *options.split()])
     main(["report", str(tmp_path / "run"), "--out", str(tmp_path / "report.html")])
     assert "report.html" in capsys.readouterr().out

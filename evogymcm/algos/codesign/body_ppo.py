@@ -5,8 +5,6 @@ from typing import Any
 
 from evogymcm.algos.learning.config import PPOConfig, Sharing
 
-__all__ = ["BodyPPOConfig", "check_body_ppo"]
-
 
 @dataclass(frozen=True)
 class BodyPPOConfig(PPOConfig):

@@ -3,7 +3,6 @@
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
-from math import isfinite
 from typing import Any, Required, TypedDict
 
 import numpy as np
@@ -12,8 +11,6 @@ from numpy.typing import ArrayLike
 from evogymcm._settings import check_count, check_number, check_pair
 from evogymcm.algos.codesign.design import Design, Individual, mutate_design
 from evogymcm.body import H_ACT, SAMPLE_WEIGHTS, V_ACT, check_weights, sample_body
-
-__all__ = ["BodySearchOptions", "DesignSearch", "check_budget", "check_settings"]
 
 Draw = Callable[[], tuple[Design | None, int | None]]  # gives a design, None where that failed, and its parent
 _MAX_FAILURES = 10_000  # draws in a row without a new body, before the bodies of a shape count as used up
@@ -149,7 +146,7 @@ class DesignSearch(ABC):
         """
         if fitness.keys() != set(self._pending):
             raise ValueError(f"fitness: got indices {sorted(fitness)}, expected {sorted(self._pending)}")
-        values = {index: _finite(value, f"fitness of {index}") for index, value in fitness.items()}
+        values = {index: check_number(f"fitness of {index}", value) for index, value in fitness.items()}
         told = [replace(item, fitness=values.get(item.index, item.fitness)) for item in self._population]
         self._pending = []
         self._population = sorted(told, key=_worst_last)
@@ -180,7 +177,7 @@ class DesignSearch(ABC):
         place = next(i for i, individual in enumerate(self._population) if individual.index == index)
         individual = self._population[place]
         if fitness is not None:
-            individual = replace(individual, fitness=_finite(fitness, "fitness"))
+            individual = replace(individual, fitness=check_number("fitness", fitness))
         if stiffness is not None:
             field = np.asarray(stiffness, dtype=np.float64)
             individual = replace(individual, design=Design(individual.design.body, field))
@@ -279,11 +276,3 @@ def _worst_last(individual: Individual) -> float:
     """Key that sorts best first; sorting with it keeps the order of equals."""
     assert individual.fitness is not None
     return -individual.fitness
-
-
-def _finite(value: float, name: str) -> float:
-    """Returns the number, which must be finite."""
-    value = float(value)
-    if not isfinite(value):
-        raise ValueError(f"{name}: got {value}, must be finite")
-    return value

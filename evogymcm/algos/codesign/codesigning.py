@@ -7,18 +7,36 @@ stiffness, or with stiffness fields of their own, by material search and fine-tu
 import os
 from collections.abc import Callable
 from contextlib import nullcontext
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 from evogymcm.algos.codesign.config import CodesignConfig
-from evogymcm.algos.codesign.outcome import CodesignProgress, CodesignResult
-from evogymcm.algos.codesign.run import Codesign
+from evogymcm.algos.codesign.design import Individual
+from evogymcm.algos.codesign.inner_loop import Policy
+from evogymcm.algos.codesign.run import Codesign, CodesignProgress
 from evogymcm.algos.codesign.start import check_start
 from evogymcm.algos.runs.folder import RunFolder, stop_on_interrupt
 from evogymcm.algos.runs.origin import find_origin
 from evogymcm.algos.runs.record import RunRecord, best_curve
 
-__all__ = ["codesign"]
+
+@dataclass(frozen=True)
+class CodesignResult:
+    """Outcome of a run.
+
+    Attributes:
+        best: the best individual; None if the run was stopped before there was one.
+        policy: its policy.
+        rows: the table, see `Codesign`.
+        env_steps: env-steps simulated in all.
+        finished: False if it was stopped.
+    """
+
+    best: Individual | None
+    policy: Policy | None
+    rows: list[dict[str, Any]]
+    env_steps: int
+    finished: bool
 
 
 def codesign(
@@ -54,7 +72,17 @@ def codesign(
     run.check_settings(settings)
     with run.lock():
         state = Codesign(config, run)
-        record = _record(config)
+        stiffness = None if config.material == "reactive" or config.search else config.stiffness
+        record = RunRecord(
+            "codesign",
+            config.task,
+            label=config.material if stiffness is None else f"stiffness {stiffness:g}",
+            material=config.material,
+            stiffness=stiffness,
+            edge_rule=config.edge_rule,
+            seed=config.seed,
+            origin=find_origin(),
+        )
         record.write(run)
         result = _to_the_end(state, progress, should_stop)
         replace(
@@ -89,18 +117,3 @@ def _best(result: CodesignResult) -> dict[str, Any] | None:
         return None
     row = next(row for row in reversed(result.rows) if row["index"] == result.best.index)
     return result.best.record() | {name: row[name] for name in ("score", "robust_score", "spread") if name in row}
-
-
-def _record(config: CodesignConfig) -> RunRecord:
-    """Returns what the run is, before anything has come of it."""
-    stiffness = None if config.material == "reactive" or config.search else config.stiffness
-    return RunRecord(
-        "codesign",
-        config.task,
-        label=config.material if stiffness is None else f"stiffness {stiffness:g}",
-        material=config.material,
-        stiffness=stiffness,
-        edge_rule=config.edge_rule,
-        seed=config.seed,
-        origin=find_origin(),
-    )

@@ -4,18 +4,17 @@ import warnings
 from collections.abc import Callable
 from dataclasses import KW_ONLY, dataclass, field
 from functools import wraps
+from itertools import pairwise
+from math import ceil
 from typing import Any, Literal
 
 from evogymcm._settings import EdgeRule, Material, check_count, check_fields, check_numbers, check_pair
 from evogymcm.algos.codesign.body_ppo import BodyPPOConfig, check_body_ppo
 from evogymcm.algos.codesign.body_search import check_budget
 from evogymcm.algos.codesign.genetic import check_population
-from evogymcm.algos.codesign.halving import HalvingSchedule
 from evogymcm.algos.learning.config import Selection, check_selection
 from evogymcm.algos.runs.older import of_arm
 from evogymcm.body import SAMPLE_WEIGHTS, STIFFNESS_HIGH, STIFFNESS_LOW, check_weights
-
-__all__ = ["CodesignConfig", "SearchConfig"]
 
 Method = Literal["ga", "random", "qd"]
 Acceptance = Literal["reference", "paper"]
@@ -62,6 +61,43 @@ class SearchConfig:
         check_fields(self, _BOUNDS)
         if self.proposal == "cma" and self.candidates < 2:
             raise ValueError(f"candidates: got {self.candidates}, proposal 'cma' needs at least 2")
+
+
+@dataclass(frozen=True)
+class HalvingSchedule:
+    """Successive halving (Jamieson and Talwalkar, 2016): all bodies train a little, the better ones continue.
+
+    Attributes:
+        rungs: shares of the full budget of training after which bodies are compared, rising, each between 0 and 1.
+        keep: share of the bodies that continue after each rung, each above 0 and at most 1.
+
+    Raises:
+        ValueError: The rungs do not rise within 0 to 1, or there is not one share in (0, 1] for each.
+    """
+
+    rungs: tuple[float, ...] = (0.25, 0.5)
+    keep: tuple[float, ...] = (0.5, 0.5)
+
+    def __post_init__(self) -> None:
+        for name in ("rungs", "keep"):
+            object.__setattr__(self, name, check_numbers(name, getattr(self, name)))
+        bounds = (0.0, *self.rungs, 1.0)
+        if not all(low < high for low, high in pairwise(bounds)):
+            raise ValueError(f"rungs: got {self.rungs}, expected rising shares of the budget, above 0 and below 1")
+        if len(self.keep) != len(self.rungs) or not all(0.0 < share <= 1.0 for share in self.keep):
+            raise ValueError(f"keep: got {self.keep}, expected {len(self.rungs)} shares, above 0 and at most 1")
+
+    def count(self, rung: int, n_bodies: int) -> int:
+        """Returns how many of `n_bodies` continue after a rung: the share kept, rounded up."""
+        return ceil(round(self.keep[rung] * n_bodies, 9))  # rounded before: 0.07 * 100 is above 7 in floats
+
+    def cost(self, n_bodies: int) -> float:
+        """Returns the training of `n_bodies` in full budgets: `n_bodies` without halving."""
+        total, reached = 0.0, 0.0
+        for rung, share in enumerate(self.rungs):
+            total += n_bodies * (share - reached)
+            n_bodies, reached = self.count(rung, n_bodies), share
+        return total + n_bodies * (1.0 - reached)
 
 
 @dataclass(frozen=True)

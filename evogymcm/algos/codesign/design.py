@@ -9,8 +9,6 @@ from numpy.typing import NDArray
 
 from evogymcm.body import SAMPLE_WEIGHTS, Body, check_stiffness, mutate_body
 
-__all__ = ["Design", "Individual", "mutate_design"]
-
 Field = NDArray[np.float64]
 
 

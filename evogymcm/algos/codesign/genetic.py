@@ -10,16 +10,11 @@ from evogymcm._settings import check_count
 from evogymcm.algos.codesign.body_search import BodySearchOptions, DesignSearch
 from evogymcm.algos.codesign.design import Individual
 
-__all__ = ["GeneticAlgorithm", "check_population", "survivor_count"]
-
 
 def survivor_count(population: int, budget: int, n_designs: int) -> int:
     """Returns how many of a generation survive: max(2, ceil(P 0.6 (M - n - 1) / (M - 1))), at most all of them.
 
-    Args:
-        population: P, the size of a generation.
-        budget: M, the bodies proposed in all.
-        n_designs: n, the bodies proposed so far, this generation included.
+    P is the population, M the budget, and n the bodies proposed so far, this generation included.
     """
     # In integers: rounding errors of 0.6 must not add a survivor. -(-a // b) is the ceiling of a / b.
     share = -(-3 * population * (budget - n_designs - 1) // (5 * max(budget - 1, 1)))

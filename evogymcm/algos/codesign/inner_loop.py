@@ -14,13 +14,11 @@ import torch
 
 from evogymcm.algos.codesign.body_ppo import BodyPPOConfig, check_body_ppo
 from evogymcm.algos.codesign.design import Design
-from evogymcm.algos.learning.outcome import Progress, TrainResult
+from evogymcm.algos.learning.loop import Progress, TrainResult
 from evogymcm.algos.learning.stacking import stack_states, take_state
 from evogymcm.algos.learning.trainer import Trainer
 from evogymcm.algos.runs.folder import RunFolder
 from evogymcm.envs import SoftRobotEnv
-
-__all__ = ["MakeEnv", "Policy", "Trained", "exploring", "holding", "stack_policies", "train_designs"]
 
 Policy = dict[str, Any]
 MakeEnv = Callable[..., SoftRobotEnv]  # all but bodies, their number and stiffness, and the seed is said already

@@ -7,8 +7,6 @@ from evogymcm.algos.codesign.design import Individual
 from evogymcm.algos.codesign.inner_loop import Policy
 from evogymcm.algos.runs.folder import RunFolder
 
-__all__ = ["Ledger"]
-
 _TOLD = ("return", "score", "robust_score", "spread")  # see `Scores.row`
 
 
@@ -40,11 +38,7 @@ class Ledger:
         return None if self.champion is None else self.champion.fitness
 
     def policy(self, index: int) -> Policy:
-        """Returns an individual's policy.
-
-        Raises:
-            KeyError: There is none, or it was forgotten.
-        """
+        """Returns an individual's policy."""
         saved = self.run.load(_name(index)) if self.run else self._policies.get(index)
         if saved is None:
             raise KeyError(f"there is no policy of individual {index}")
@@ -65,14 +59,10 @@ class Ledger:
         env_steps: int,
         told: Mapping[str, float] | None,
     ) -> None:
-        """Adds a row for an individual with fitness.
+        """Adds a row for an individual with fitness, as it is after an event: "train", "search" or "finetune".
 
-        Args:
-            event: "train", "search" or "finetune".
-            individual: it, as it is now.
-            generation: when it happened.
-            env_steps: all that are simulated so far.
-            told: its return, and scores from several starts, see `Scores.row`; None for those that it had.
+        `env_steps` are all that are simulated so far; `told` is its return, and scores from several starts, see
+        `Scores.row`; None for those that it had.
         """
         assert individual.fitness is not None
         if self.best is None or individual.fitness > self.best:

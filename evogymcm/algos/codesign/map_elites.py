@@ -8,13 +8,12 @@ from typing import Any, Unpack
 import numpy as np
 from numpy.typing import ArrayLike
 
+from evogymcm._extras import load_extra
 from evogymcm._settings import check_count, check_number, check_pair
 from evogymcm.algos.codesign.body_search import BodySearchOptions, DesignSearch
 from evogymcm.algos.codesign.design import Design, Individual
 from evogymcm.algos.codesign.stiffness_proposals import perturb_stiffness
 from evogymcm.body import STIFFNESS_HIGH, STIFFNESS_LOW
-
-__all__ = ["MapElites", "design_measures"]
 
 
 def design_measures(design: Design) -> tuple[float, float]:
@@ -64,10 +63,7 @@ class MapElites(DesignSearch):
         sigma: float = 0.2,
         **options: Unpack[BodySearchOptions],
     ) -> None:
-        try:
-            from ribs.archives import GridArchive
-        except ImportError as error:
-            raise ImportError("MapElites needs pyribs: pip install evogymcm[qd]") from error
+        archives = load_extra("ribs.archives", "MapElites needs pyribs", "qd")
         population = check_count("population", population)
         self.initial = population if initial is None else check_count("initial", initial)
         across, down = check_pair("dims", dims)
@@ -82,7 +78,7 @@ class MapElites(DesignSearch):
         }
         super().__init__(shape, budget, population, settings=settings, **options)
         ranges = [(0.0, 1.0), (STIFFNESS_LOW, STIFFNESS_HIGH)]
-        self.archive = GridArchive(solution_dim=1, dims=dims, ranges=ranges, seed=self.settings["seed"])
+        self.archive = archives.GridArchive(solution_dim=1, dims=dims, ranges=ranges, seed=self.settings["seed"])
 
     @property
     def elites(self) -> list[Individual]:

@@ -10,9 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from evogymcm.algos.codesign.body_search import check_settings
 from evogymcm.algos.codesign.config import SearchConfig
 from evogymcm.algos.codesign.design import Design, Individual
-from evogymcm.algos.codesign.stiffness_proposals import CMA, HillClimber, Proposer
-
-__all__ = ["MaterialSearch", "Materials"]
+from evogymcm.algos.codesign.stiffness_proposals import CMA, HillClimber
 
 _MARGIN = 0.02  # of the best score's size: the least gain that the reference code accepts
 
@@ -50,13 +48,7 @@ class MaterialSearch:
         ImportError: The package for CMA-ES is missing.
     """
 
-    def __init__(
-        self,
-        individuals: Sequence[Individual],
-        *,
-        seed: int | Sequence[int],
-        **options: Any,
-    ) -> None:
+    def __init__(self, individuals: Sequence[Individual], *, seed: int | Sequence[int], **options: Any) -> None:
         self.config = SearchConfig(**options)
         _check_individuals(individuals)
         self.individuals = list(individuals)
@@ -66,22 +58,19 @@ class MaterialSearch:
 
     def _start(self) -> None:
         """Sets the state before the first round."""
-        config = self.config
         self.n_rounds = 0
         self._best = [individual.design for individual in self.individuals]
         self._scores = np.array([individual.fitness for individual in self.individuals], dtype=np.float64)
         self._told: list[list[float]] = []
         self._history = [self._scores.copy()]
         self._asked: list[list[Field]] = []
-        self._proposers: list[Proposer] = []
+        self._proposers: list[HillClimber | CMA] = []
         for individual in self.individuals:
-            seeds = np.random.SeedSequence(self.settings["seed"], spawn_key=(individual.index,))
-            rng = np.random.default_rng(seeds)
-            if config.proposal == "cma":
-                self._proposers.append(CMA(individual.design, rng, config.candidates, config.sigma))
+            rng = np.random.default_rng(np.random.SeedSequence(self.settings["seed"], spawn_key=(individual.index,)))
+            if self.config.proposal == "cma":
+                self._proposers.append(CMA(individual.design, rng, self.config))
             else:
-                arguments = (config.candidates, config.probability, config.sigma, config.noise)
-                self._proposers.append(HillClimber(rng, *arguments))
+                self._proposers.append(HillClimber(rng, self.config))
 
     @property
     def is_finished(self) -> bool:

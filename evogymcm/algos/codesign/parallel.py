@@ -13,22 +13,17 @@ from concurrent.futures import wait as futures_wait
 from pathlib import Path
 from typing import Any
 
-from evogymcm.algos.codesign.codesigning import codesign
+from evogymcm._extras import load_extra
+from evogymcm.algos.codesign.codesigning import CodesignResult, codesign
 from evogymcm.algos.codesign.config import CodesignConfig
-from evogymcm.algos.codesign.outcome import CodesignResult
 from evogymcm.algos.codesign.start import check_start
 from evogymcm.envs.tasks import Task, as_task, register_task
-
-__all__ = ["RayExecutor", "codesign_all", "codesign_in"]
 
 
 def codesign_in(folder: Path, config: CodesignConfig, task: Task | None = None) -> CodesignResult:
     """Runs co-design in a folder, or resumes the run that is there; this is what a worker does.
 
-    Args:
-        folder: where the run is kept.
-        config: its settings.
-        task: the one that the settings name, for workers that have not registered it.
+    `task` is the one that the settings name, for workers that have not registered it.
     """
     if task is not None and task.id == config.task:  # the file of a world has no id
         register_task(task, replace=True)
@@ -89,10 +84,7 @@ class RayExecutor(Executor):
     """
 
     def __init__(self, **options: Any) -> None:
-        try:
-            import ray
-        except ImportError as error:
-            raise ImportError("RayExecutor needs the package ray: pip install evogymcm[ray]") from error
+        ray = load_extra("ray", "RayExecutor needs the package ray", "ray")
         self._ray, self._is_ours = ray, not ray.is_initialized()
         if self._is_ours:
             ray.init(**options)

@@ -3,8 +3,6 @@
 from evogymcm.algos.codesign.body_search import DesignSearch
 from evogymcm.algos.codesign.design import Individual
 
-__all__ = ["RandomSearch"]
-
 
 class RandomSearch(DesignSearch):
     """Random bodies, each trained once: the floor that every other method has to beat.

@@ -1,7 +1,7 @@
 """One run of co-design, phase by phase: the outer loops of EvoGymCM, with their ablations."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
@@ -11,16 +11,32 @@ from evogymcm.algos.codesign.genetic import GeneticAlgorithm
 from evogymcm.algos.codesign.inner_loop import Policy, Trained, exploring, train_designs
 from evogymcm.algos.codesign.ledger import Ledger
 from evogymcm.algos.codesign.material_search import MaterialSearch
-from evogymcm.algos.codesign.outcome import CodesignProgress
 from evogymcm.algos.codesign.plan import Training, finetuning, phases, search_seed, trainings
 from evogymcm.algos.codesign.scoring import Scores, score_alone, score_proposals, score_together
 from evogymcm.algos.codesign.start import check_start, env_maker, make_body_search
 from evogymcm.algos.runs.folder import RunFolder
 
-__all__ = ["Codesign"]
-
 _STATE = "codesign"
 _SCREENED = 8  # mutants of a child that are played at a time, between looks whether to stop
+
+
+@dataclass(frozen=True)
+class CodesignProgress:
+    """State of a run, reported after every update of a policy and every round of a search.
+
+    Attributes:
+        generation: counted from 0.
+        phase: "screen", "train", "search" or "finetune".
+        env_steps: env-steps simulated so far, of all kinds.
+        n_designs: bodies proposed so far.
+        best: the best fitness so far, None before there is one.
+    """
+
+    generation: int
+    phase: str
+    env_steps: int
+    n_designs: int
+    best: float | None
 
 
 class Codesign:

@@ -18,8 +18,6 @@ from evogymcm.algos.learning.stacking import PerDesign
 from evogymcm.algos.learning.threads import limited_threads
 from evogymcm.envs import SoftRobotEnv
 
-__all__ = ["Scores", "score_alone", "score_proposals", "score_together"]
-
 
 @dataclass(frozen=True)
 class Scores:
@@ -112,15 +110,8 @@ def score_together(
 ) -> Scores:
     """Scores several designs under each policy in one batch: fast, and the same as `score_alone` but for rounding.
 
-    Args:
-        make_env: see `train_designs`.
-        groups: C designs for each of P policies.
-        policies: P policies.
-        seed: where tasks with random resets draw from; those of several episodes count up. The same for all designs.
-        starts: that differ by a hair, from which each episode is played, see `evaluate`.
-
-    Returns:
-        Scores whose arrays have the shape (P, C).
+    `groups` has C designs for each of P policies; the arrays of the scores have the shape (P, C). Each episode is
+    played from `starts` that differ by a hair, see `evaluate`.
 
     Raises:
         ValueError: There are not as many policies as groups.
@@ -149,16 +140,12 @@ def score_proposals(
 ) -> tuple[np.ndarray, dict[int, dict[str, float]], int]:
     """Scores all proposals of a search's round in one batch, and the best of each that may be accepted also by itself.
 
-    Args:
-        make_env: see `train_designs`.
-        search: that of S individuals, with a round to be told.
-        policies: the individuals' policies.
-        starts: from which each of the best is played.
-        selection: what proposals are compared by; the "robust" score needs as many starts of all of them.
+    What proposals are compared by is the `selection`; the "robust" score needs as many `starts` of all of them, others
+    only of the best.
 
     Returns:
-        What all proposals are worth, (S * candidates,); what the table says of the best of individual i, by i, for
-        those scored by themselves; the env-steps simulated.
+        What all proposals of S individuals are worth, (S * candidates,); what the table says of the best of individual
+        i, by i, for those scored by themselves; the env-steps simulated.
     """
     fields = search.ask()  # (S * candidates, rows, columns)
     fields = fields.reshape(len(policies), -1, *fields.shape[1:])

@@ -5,26 +5,20 @@ from typing import Any
 
 import numpy as np
 
+from evogymcm._extras import load_cma
 from evogymcm.algos.codesign.body_search import DesignSearch
 from evogymcm.algos.codesign.config import CodesignConfig
 from evogymcm.algos.codesign.genetic import GeneticAlgorithm
 from evogymcm.algos.codesign.map_elites import MapElites
 from evogymcm.algos.codesign.random_search import RandomSearch
-from evogymcm.algos.codesign.stiffness_proposals import load_cma
 from evogymcm.body import H_ACT, Body
 from evogymcm.envs import SoftRobotEnv
-
-__all__ = ["check_start", "env_maker", "make_body_search"]
 
 _METHODS: dict[str, type[DesignSearch]] = {"ga": GeneticAlgorithm, "random": RandomSearch, "qd": MapElites}
 
 
 def make_body_search(config: CodesignConfig) -> DesignSearch:
-    """Returns the search over bodies, before its first generation.
-
-    Raises:
-        ImportError: Its package is missing.
-    """
+    """Returns the search over bodies, before its first generation."""
     options: dict[str, Any] = {name: getattr(config, name) for name in ("seed", "mutation_rate", "attempts", "weights")}
     if config.method == "ga":
         options["age_protection"] = config.age_protection

@@ -1,17 +1,16 @@
 """What to try next for one body's stiffness field: noise on the best so far (EvoGymCM), or CMA-ES (Hansen, 2016)."""
 
 from math import log
-from typing import Any, Protocol, get_args
+from typing import get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
+from evogymcm._extras import load_cma
 from evogymcm._settings import check_choice
-from evogymcm.algos.codesign.config import Noise
+from evogymcm.algos.codesign.config import Noise, SearchConfig
 from evogymcm.algos.codesign.design import Design
 from evogymcm.body import STIFFNESS_HIGH, STIFFNESS_LOW
-
-__all__ = ["CMA", "HillClimber", "Proposer", "load_cma", "perturb_stiffness"]
 
 Field = NDArray[np.float64]
 
@@ -53,62 +52,35 @@ def _on_body(design: Design, voxels: Field) -> Field:
     return field
 
 
-class Proposer(Protocol):
-    """Proposes fields for one body."""
-
-    def ask(self, best: Design) -> list[Field]:
-        """Returns fields (rows, cols) to be scored; `best` is the best design so far."""
-        ...
-
-    def tell(self, scores: Field) -> None:
-        """Learns from their scores."""
-        ...
-
-
 class HillClimber:
     """Perturbs the best field so far."""
 
-    def __init__(
-        self, rng: np.random.Generator, candidates: int, probability: float, sigma: float, noise: Noise
-    ) -> None:
-        self.rng, self.candidates = rng, candidates
-        self.arguments = (probability, sigma, noise)
+    def __init__(self, rng: np.random.Generator, config: SearchConfig) -> None:
+        self.rng, self.config = rng, config
 
     def ask(self, best: Design) -> list[Field]:
         """Returns noisy copies of the best field."""
-        return [perturb_stiffness(best, self.rng, *self.arguments) for _ in range(self.candidates)]
+        arguments = (best, self.rng, self.config.probability, self.config.sigma, self.config.noise)
+        return [perturb_stiffness(*arguments) for _ in range(self.config.candidates)]
 
     def tell(self, scores: Field) -> None:
         """Learns nothing: the best field says it all."""
 
 
-def load_cma() -> Any:
-    """Returns the package for CMA-ES.
-
-    Raises:
-        ImportError: It is missing.
-    """
-    try:
-        import cma
-    except ImportError as error:
-        raise ImportError("proposal 'cma' needs the package cma: pip install evogymcm[cma]") from error
-    return cma
-
-
 class CMA:
     """CMA-ES over the logarithms of the voxels' stiffness, begun at the given field."""
 
-    def __init__(self, start: Design, rng: np.random.Generator, candidates: int, sigma: float) -> None:
-        cma = load_cma()
+    def __init__(self, start: Design, rng: np.random.Generator, config: SearchConfig) -> None:
         options = {
             "bounds": [log(STIFFNESS_LOW), log(STIFFNESS_HIGH)],
-            "popsize": candidates,
+            "popsize": config.candidates,
             "verbose": -9,
             "seed": np.nan,  # none; `randn` takes the place of numpy's global generator
             "randn": lambda *shape: rng.standard_normal(shape),
         }
         self.start = start
-        self.optimizer = cma.CMAEvolutionStrategy(np.log(start.field[start.body.occupancy]), sigma, options)
+        voxels = start.field[start.body.occupancy]
+        self.optimizer = load_cma().CMAEvolutionStrategy(np.log(voxels), config.sigma, options)
         self.points: list[Field] = []
 
     def ask(self, best: Design) -> list[Field]:

@@ -11,8 +11,6 @@ from evogymcm._messages import brief
 from evogymcm.body import Body, as_body, is_body_file, robot_tasks, sample_body
 from evogymcm.envs.dealing import as_bodies
 
-__all__ = ["N_HELD_OUT", "STANDARD_BODY", "RandomBodies", "as_texts", "default_body", "held_out_bodies", "written_out"]
-
 N_HELD_OUT = 64  # bodies that tell what a policy is worth on those that it has not seen
 _HELD_OUT_SEED = 987_654_321
 STANDARD_BODY = "HHHHH/HHHHH/HH.HH/VV.VV/VV.VV"
@@ -45,11 +43,7 @@ def _as_text(body: str | os.PathLike[str] | Body) -> str:
 
 
 def written_out(text: str) -> str:
-    """Returns a file's body as rows; other texts, and a file whose connections cannot be written so, as they are.
-
-    Raises:
-        ValueError: The file cannot be read.
-    """
+    """Returns a file's body as rows; other texts, and a file whose connections cannot be written so, as they are."""
     if not is_body_file(text):
         return text
     body = as_body(Path(text))

@@ -5,8 +5,6 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from torchrl.envs import EnvBase
 
-__all__ = ["EnvFactory", "TrainingEnv"]
-
 
 @runtime_checkable
 class TrainingEnv(Protocol):
@@ -24,7 +22,6 @@ class TrainingEnv(Protocol):
         task: The task; a policy is judged by several episodes if the task's class overrides `Task.draw`.
         num_designs: Number of different bodies D; world w holds body w % D.
         grid_shape: Rows and columns of the padded grid, V = rows * columns.
-        score_ceiling: (N,) largest possible score of each world, NaN where there is none.
     """
 
     task: Any

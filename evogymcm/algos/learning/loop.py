@@ -1,20 +1,73 @@
-"""The loop of a training run: updates with their table, evaluations and checkpoints."""
+"""The loop of a training run: updates with their table, evaluations and checkpoints, and what comes of it."""
 
 from collections.abc import Callable
 from contextlib import nullcontext
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from torchrl.record.loggers import Logger
 
-from evogymcm.algos.learning.config import PPOConfig
+from evogymcm.algos.learning.actor import Actor
+from evogymcm.algos.learning.critic import Critic
 from evogymcm.algos.learning.evaluation import Evaluation
-from evogymcm.algos.learning.outcome import Progress, TrainResult
 from evogymcm.algos.runs.folder import RunFolder, stop_on_interrupt
 
 if TYPE_CHECKING:
     from evogymcm.algos.learning.trainer import Trainer
 
 CHECKPOINT, BEST, FINAL = "checkpoint", "best", "final"
+
+
+@dataclass(frozen=True)
+class Progress:
+    """State of a run, given to the caller after every update.
+
+    Attributes:
+        env_steps: env-steps done so far, in all worlds together.
+        total_steps: env-steps of the whole run.
+        seconds: wall time so far, including the time before a run was resumed.
+        row: latest row of the table: losses, mean reward, and scores if there was an evaluation.
+    """
+
+    env_steps: int
+    total_steps: int
+    seconds: float
+    row: dict[str, float]
+
+
+@dataclass(frozen=True)
+class TrainResult:
+    """Outcome of a run.
+
+    Attributes:
+        actor: the last policy.
+        critic: the last value function.
+        rows: the table, one row per update and one, with `env_steps` 0, for the untrained policy.
+        final: evaluation of the last policy; None if the run was stopped.
+        env_steps: env-steps of training, in all worlds together.
+        eval_steps: env-steps simulated in evaluations, which `env_steps` leaves out.
+        seconds: wall time of training and evaluations.
+        finished: False if the run was stopped before its end.
+        best: the policy of the best evaluation, as it is saved, with its `score` in each world of that evaluation, and
+            its `robust` score where that was the selection; with independent policies the best of each.
+        policy: the last policy, as it is saved.
+    """
+
+    actor: Actor
+    critic: Critic
+    rows: list[dict[str, Any]]
+    final: Evaluation | None
+    env_steps: int
+    eval_steps: int
+    seconds: float
+    finished: bool
+    best: dict[str, Any]
+    policy: dict[str, Any]
+
+    @property
+    def best_score(self) -> float:
+        """Largest score among all evaluations of the run, as the EvoGymCM paper's fitness."""
+        return max(row["score"] for row in self.rows if "score" in row)
 
 
 def train_to_the_end(
@@ -36,20 +89,6 @@ def train_to_the_end(
             progress(Progress(trainer.env_steps, trainer.config.total_steps, trainer.seconds, rows[-1]))
     elif run:
         run.keep_rows(0)  # of a run that was killed before its first checkpoint
-    with stop_on_interrupt() if should_stop is None else nullcontext(should_stop) as is_stopped:
-        return _loop(trainer, rows, run, progress, is_stopped, logger)
-
-
-def _loop(
-    trainer: "Trainer",
-    rows: list[dict[str, Any]],
-    run: RunFolder | None,
-    progress: Callable[[Progress], None] | None,
-    is_stopped: Callable[[], bool],
-    logger: Logger | None,
-) -> TrainResult:
-    """Updates until the end, with evaluations and checkpoints on the way."""
-    config = trainer.config
 
     def record(row: dict[str, Any], evaluation: Evaluation | None) -> None:
         is_best = evaluation is not None and trainer.take_best(evaluation)
@@ -58,30 +97,36 @@ def _loop(
         rows.append(row)
         if run:
             run.append(row)
+        if run and is_best:
+            run.save(BEST, {**(trainer.best or {}), "row": row})
         if run and evaluation is not None:
-            _save(trainer, is_best, row, len(rows), run)
+            if trainer.is_finished:
+                run.save(FINAL, trainer.policy_state() | {"row": row})
+            run.save(CHECKPOINT, {"trainer": trainer.state_dict(), "rows": len(rows)})
         if logger:
             for name, value in row.items():
                 logger.log_scalar(name, value, step=trainer.env_steps)
         if progress:
-            progress(Progress(trainer.env_steps, config.total_steps, trainer.seconds, row))
+            progress(Progress(trainer.env_steps, trainer.config.total_steps, trainer.seconds, row))
 
-    if not rows:
-        record({"env_steps": 0}, trainer.evaluate())
     final = None
-    while not (trainer.is_finished or is_stopped()):
-        is_due = _is_due(trainer.env_steps, config)
-        row = trainer.update()
-        final = trainer.evaluate() if is_due or trainer.is_finished else None
-        record(row, final)
-    if not trainer.is_finished:
-        final = None
-        if run:
-            run.save(CHECKPOINT, {"trainer": trainer.state_dict(), "rows": len(rows)})
-    elif final is None:  # a run that had been finished before: the same evaluation again, which counts once
-        counted = trainer.eval_steps
-        final = trainer.evaluate()
-        trainer.eval_steps = counted
+    with stop_on_interrupt() if should_stop is None else nullcontext(should_stop) as is_stopped:
+        if not rows:
+            record({"env_steps": 0}, trainer.evaluate())
+        while not (trainer.is_finished or is_stopped()):
+            interval, before = trainer.config.eval_interval, trainer.env_steps
+            row = trainer.update()
+            is_due = interval and trainer.env_steps // interval > before // interval
+            final = trainer.evaluate() if is_due or trainer.is_finished else None
+            record(row, final)
+        if not trainer.is_finished:
+            final = None
+            if run:
+                run.save(CHECKPOINT, {"trainer": trainer.state_dict(), "rows": len(rows)})
+        elif final is None:  # a run that had been finished before: the same evaluation again, which counts once
+            counted = trainer.eval_steps
+            final = trainer.evaluate()
+            trainer.eval_steps = counted
     return TrainResult(
         trainer.actor,
         trainer.critic,
@@ -94,19 +139,3 @@ def _loop(
         trainer.best or {},
         trainer.policy_state(),
     )
-
-
-def _save(trainer: "Trainer", is_best: bool, row: dict[str, Any], n_rows: int, run: RunFolder) -> None:
-    """Keeps the policy where it is the best or the last one, and the state to go on from."""
-    if is_best:
-        run.save(BEST, {**(trainer.best or {}), "row": row})
-    if trainer.is_finished:
-        run.save(FINAL, trainer.policy_state() | {"row": row})
-    run.save(CHECKPOINT, {"trainer": trainer.state_dict(), "rows": n_rows})
-
-
-def _is_due(env_steps: int, config: PPOConfig) -> bool:
-    """Whether the next update passes a multiple of the evaluation interval."""
-    if not config.eval_interval:
-        return False
-    return (env_steps + config.frames_per_update) // config.eval_interval > env_steps // config.eval_interval

@@ -11,8 +11,6 @@ from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
-__all__ = ["PerDesign", "by_design", "by_world", "stack_states", "take_state"]
-
 State = dict[str, Tensor]
 
 

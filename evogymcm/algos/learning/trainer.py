@@ -8,27 +8,24 @@ from typing import Any, Self
 
 import numpy as np
 import torch
-from tensordict import TensorDict
+from tensordict import TensorDict, TensorDictBase
+from torchrl.collectors import Collector
 from torchrl.envs import EnvBase
 from torchrl.record.loggers import Logger
 
 from evogymcm.algos.learning.actor import make_actor
 from evogymcm.algos.learning.bodies import N_HELD_OUT
-from evogymcm.algos.learning.collector import WorldCollector
 from evogymcm.algos.learning.config import PPOConfig
 from evogymcm.algos.learning.critic import make_critic
 from evogymcm.algos.learning.devices import find_device, on_cpu
 from evogymcm.algos.learning.env import EnvFactory
 from evogymcm.algos.learning.evaluation import Evaluation, draws_of, evaluate
-from evogymcm.algos.learning.loop import train_to_the_end
-from evogymcm.algos.learning.outcome import Progress, TrainResult
+from evogymcm.algos.learning.loop import Progress, TrainResult, train_to_the_end
 from evogymcm.algos.learning.ppo import PPOLearner
 from evogymcm.algos.learning.stacking import PerDesign, by_design, stack_states
 from evogymcm.algos.learning.threads import exploration, limited_threads
 from evogymcm.algos.runs.folder import RunFolder
 from evogymcm.envs.engines import engine_of
-
-__all__ = ["Trainer"]
 
 
 def _copies(config: PPOConfig, env: EnvBase) -> int | None:
@@ -42,6 +39,28 @@ def _copies(config: PPOConfig, env: EnvBase) -> int | None:
         if value is not None and value % env.num_designs:
             raise ValueError(f"{name}: got {value}, independent sharing needs a multiple of {env.num_designs} designs")
     return env.num_designs
+
+
+class WorldCollector(Collector):
+    """A collector whose state holds the live worlds too, so that a resumed run goes on within its episodes.
+
+    The environment's own state must come with its `state_dict` (`get_extra_state`); without, resuming restarts the
+    episodes.
+    """
+
+    _carrier: TensorDictBase
+
+    def state_dict(self) -> dict[str, Any]:
+        """Returns the environment's state and the policy's next input, on the CPU."""
+        return {"env": dict(self.env.state_dict()), "carrier": on_cpu(self._carrier.to_dict())}
+
+    def load_state_dict(self, state_dict: dict[str, Any], **kwargs: Any) -> None:
+        """Restores what `state_dict` returned."""
+        if not state_dict["env"]:
+            return
+        self.env.load_state_dict(state_dict["env"])
+        carrier = self._carrier
+        self._carrier = TensorDict(state_dict["carrier"], batch_size=carrier.batch_size, device=carrier.device)
 
 
 class Trainer:

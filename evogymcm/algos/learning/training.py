@@ -12,15 +12,12 @@ from torchrl.record.loggers import Logger
 from evogymcm._messages import brief
 from evogymcm.algos.learning.bodies import RandomBodies
 from evogymcm.algos.learning.config import PPOConfig, TrainConfig
-from evogymcm.algos.learning.loop import train_to_the_end
-from evogymcm.algos.learning.outcome import Progress, TrainResult
+from evogymcm.algos.learning.loop import Progress, TrainResult, train_to_the_end
 from evogymcm.algos.learning.trainer import Trainer
 from evogymcm.algos.runs.folder import RunFolder
 from evogymcm.algos.runs.origin import find_origin
 from evogymcm.algos.runs.record import RunRecord
 from evogymcm.envs import SoftRobotEnv
-
-__all__ = ["make_trainer", "train"]
 
 
 def train(
@@ -78,19 +75,33 @@ def train(
             run = RunFolder(run, settings, resume=True)
         run.check_settings(settings)
         with run.lock():
-            origin = find_origin()
-            _record(config, origin, None).write(run)
+            record = RunRecord(
+                "train",
+                config.task,
+                label=config.material,
+                material=config.material,
+                bodies=config.bodies,
+                stiffness=config.stiffness,
+                edge_rule=config.edge_rule,
+                seed=config.ppo.seed,
+                origin=find_origin(),
+            )
+            record.write(run)
             result = train_to_the_end(trainer, run=run, **told)
-            _record(config, origin, result).write(run)
+            final = result.final
+            replace(
+                record,
+                finished=result.finished,
+                env_steps=result.env_steps,
+                seconds=result.seconds,
+                curve=tuple((row["env_steps"], row["score"]) for row in result.rows if "score" in row),
+                final=None if final is None else final.summary() | {"ceiling": float(final.ceiling.mean())},
+            ).write(run)
     return result
 
 
 def make_trainer(config: TrainConfig, num_threads: int | None = None) -> Trainer:
-    """Returns what trains a policy with these settings.
-
-    Raises:
-        ValueError: The task, a body or a field cannot be used, or settings do not go together.
-    """
+    """Returns what trains a policy with these settings."""
     bodies, fields = config.designs()
     make_env = partial(
         SoftRobotEnv,
@@ -107,30 +118,3 @@ def make_trainer(config: TrainConfig, num_threads: int | None = None) -> Trainer
     assert config.stiffness is None or isinstance(config.stiffness, float)
     stream = RandomBodies(config.random_bodies, config.stiffness)
     return Trainer(partial(make_env, bodies=stream, stiffness=None), config.ppo, make_env)
-
-
-def _record(config: TrainConfig, origin: Mapping[str, Any], result: TrainResult | None) -> RunRecord:
-    """Returns what the run is, and what has come of it so far."""
-    record = RunRecord(
-        "train",
-        config.task,
-        label=config.material,
-        material=config.material,
-        bodies=config.bodies,
-        stiffness=config.stiffness,
-        edge_rule=config.edge_rule,
-        seed=config.ppo.seed,
-        origin=origin,
-    )
-    if result is None:
-        return record
-    return replace(
-        record,
-        finished=result.finished,
-        env_steps=result.env_steps,
-        seconds=result.seconds,
-        curve=tuple((row["env_steps"], row["score"]) for row in result.rows if "score" in row),
-        final=None
-        if result.final is None
-        else result.final.summary() | {"ceiling": float(result.final.ceiling.mean())},
-    )

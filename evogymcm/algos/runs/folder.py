@@ -9,7 +9,7 @@ import signal
 import threading
 import time
 import warnings
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -18,8 +18,6 @@ from filelock import FileLock, Timeout
 
 from evogymcm._files import write_atomic
 from evogymcm.algos.runs.older import present_settings
-
-__all__ = ["RunFiles", "RunFolder", "RunInUseError", "stop_on_interrupt"]
 
 CONFIG, TABLE = "config.json", "curve.jsonl"
 _LOCK = ".lock"
@@ -157,7 +155,7 @@ class RunFolder(RunFiles):
         if not (resume or overwrite):
             raise FileExistsError(f"{self.path} exists; set resume to go on with it or overwrite to replace it")
         if resume:
-            self._check_same(config)
+            self._refuse_others(config, set.union)
         return overwrite
 
     @contextmanager
@@ -186,11 +184,6 @@ class RunFolder(RunFiles):
         finally:
             lock.release()
 
-    def _check_same(self, config: Mapping[str, Any]) -> None:
-        """Compares with the saved settings."""
-        saved = present_settings(self.config)
-        self._refuse(saved, config, saved.keys() | config.keys())
-
     def check_settings(self, config: Mapping[str, Any]) -> None:
         """Compares the settings of a run that is about to start with those that the folder was opened with.
 
@@ -200,11 +193,12 @@ class RunFolder(RunFiles):
         Raises:
             ValueError: Settings of one name differ.
         """
-        saved = present_settings(self.config)
-        self._refuse(saved, _plain(config), saved.keys() & config.keys())
+        self._refuse_others(_plain(config), set.intersection)
 
-    def _refuse(self, saved: Mapping[str, Any], config: Mapping[str, Any], names: Collection[str]) -> None:
-        differing = sorted(name for name in names if saved.get(name) != config.get(name))
+    def _refuse_others(self, config: Mapping[str, Any], which: Callable[[set[str], set[str]], set[str]]) -> None:
+        """Raises a ValueError where settings differ from those saved, among the names of either or of both."""
+        saved = present_settings(self.config)
+        differing = sorted(name for name in which({*saved}, {*config}) if saved.get(name) != config.get(name))
         if differing:
             changes = "; ".join(f"{name}: got {config.get(name)}, the run has {saved.get(name)}" for name in differing)
             raise ValueError(f"cannot resume {self.path} with other settings: {changes}")

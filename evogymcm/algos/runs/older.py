@@ -5,17 +5,11 @@ from typing import Any
 
 from evogymcm._settings import check_choice
 
-__all__ = ["of_arm", "present_settings"]
-
 _ARMS = ("reactive", "fixed", "invariant", "prescribed")
 
 
 def of_arm(arm: str, prescribed: Any, search: Any) -> dict[str, Any]:
-    """Returns what co-design calls an arm of before: its material, stiffness, and search of stiffness fields or None.
-
-    Raises:
-        ValueError: There was no such arm.
-    """
+    """Returns what co-design calls an arm of before: material, stiffness, and search of stiffness fields or None."""
     check_choice("arm", arm, _ARMS)
     return {
         "material": "reactive" if arm == "reactive" else "invariant",

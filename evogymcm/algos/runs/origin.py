@@ -7,23 +7,18 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-__all__ = ["find_origin", "usable_cores"]
-
 _PACKAGES = ("evogymcm", "torch", "torchrl", "tensordict", "numba", "numpy")
 
 
 def find_origin() -> dict[str, Any]:
     """Returns `machine` (processor, cores, memory, system), `versions` (of packages) and `commit` (None without)."""
-    return {"machine": _machine(), "versions": _versions(), "commit": _commit()}
-
-
-def _machine() -> dict[str, Any]:
-    return {
+    machine = {
         "cpu": _cpu_model(),
         "cores": usable_cores(),
         "memory_gib": _memory_gib(),
         "system": f"{platform.system()} {platform.machine()}",
     }
+    return {"machine": machine, "versions": _versions(), "commit": _commit()}
 
 
 def usable_cores() -> int:

@@ -18,8 +18,6 @@ from evogymcm.algos.runs.record import NOT_RECORDED, RunRecord
 from evogymcm.body import Body, as_body
 from evogymcm.envs import SoftRobotEnv
 
-__all__ = ["SavedPolicy", "load_policy"]
-
 _NAMES = ("final.pt", "best.pt", "codesign.pt")
 
 
@@ -115,7 +113,8 @@ def load_policy(path: str | Path) -> SavedPolicy:
     found = next((file for file in (*(path / name for name in _NAMES), path) if file.is_file()), None)
     if found is None:
         raise ValueError(f"policy: {path} has none of {', '.join(_NAMES)}")
-    saved, run = _load(found), _run(found.parent)
+    saved, folder = _load(found), found.parent
+    run = RunRecord.read(folder) if any((folder / name).is_file() for name in (CONFIG, TABLE)) else None
     row = None
     if found.name == "codesign.pt":
         if saved.get("champion") is None:
@@ -138,11 +137,6 @@ def load_policy(path: str | Path) -> SavedPolicy:
         stiffness=None if is_reactive else fields,
         edge_rule="mean_factor" if run is None else run.edge_rule,
     )
-
-
-def _run(folder: Path) -> RunRecord | None:
-    """Returns the run that a file lies in, None where it is alone."""
-    return RunRecord.read(folder) if any((folder / name).is_file() for name in (CONFIG, TABLE)) else None
 
 
 def _load(file: Path) -> Mapping[str, Any]:

@@ -3,7 +3,7 @@
 import os
 import pickle
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -13,8 +13,6 @@ from evogymcm.algos.runs.folder import RunFiles, RunFolder
 from evogymcm.algos.runs.older import present_settings
 from evogymcm.body import Body
 
-__all__ = ["KINDS", "NOT_RECORDED", "Kind", "Row", "RunRecord", "best_curve"]
-
 Row = Mapping[str, Any]
 Curve = tuple[tuple[float, float], ...]
 Kind = Literal["train", "codesign"]
@@ -22,10 +20,7 @@ KINDS: tuple[Kind, ...] = get_args(Kind)
 
 NOT_RECORDED = "not recorded"
 _RESULT, _SIGNALS, _STATE, _FINAL = "result.json", "signals.json", "codesign", "final.pt"
-_SAVED = (  # in result.json; the settings lie in config.json, the rows in the table
-    *("kind", "task", "label", "material", "bodies", "stiffness", "edge_rule", "seed", "finished", "env_steps"),
-    *("seconds", "curve", "final", "best", "n_designs", "origin"),
-)
+_IN_OTHER_FILES = ("config", "rows", "signals", "path")
 _LABELS = ("variant", "label", "arm")  # by which experiments compare
 _EVALUATION = (  # see `Evaluation.summary`
     *("score", "return", "episode_length", "goal_rate", "unstable", "steps_to_goal", "fraction_of_ceiling"),
@@ -119,7 +114,7 @@ class RunRecord:
 
     def as_dict(self) -> dict[str, Any]:
         """Returns all but settings, rows and signals, ready for JSON; `from_dict` reads it back."""
-        return {name: getattr(self, name) for name in _SAVED}
+        return {item.name: getattr(self, item.name) for item in fields(self) if item.name not in _IN_OTHER_FILES}
 
     def write(self, run: RunFolder) -> None:
         """Writes `as_dict` into a run's folder as `result.json`, under the label that the folder's settings give."""
@@ -189,11 +184,10 @@ def _record(name: str, told: Row, config: Row, rows: list[dict[str, Any]], files
     scored = [row for row in rows if row.get("score") is not None]
     curve = best_curve(rows) if kind == "codesign" else tuple((row["env_steps"], row["score"]) for row in scored)
     curve = curve or tuple((point[0], point[-1]) for point in told.get("curve") or ())
-    finished, final, earlier = (
-        bool(told.get("finished")),
-        told.get("final"),
-        told.get("seconds", told.get("train_seconds")),
-    )
+    finished, final = bool(told.get("finished")), told.get("final")
+    if not final and kind == "train" and finished and scored:
+        final = {name: scored[-1][name] for name in _EVALUATION if name in scored[-1]}
+    earlier = told.get("seconds", told.get("train_seconds"))
     last = int(rows[-1]["env_steps"]) if rows else int(curve[-1][0]) if curve else 0
     record = RunRecord(
         kind,
@@ -208,7 +202,7 @@ def _record(name: str, told: Row, config: Row, rows: list[dict[str, Any]], files
         env_steps=max(int(told.get("env_steps") or 0), last),
         seconds=next((row["seconds"] for row in rows[::-1] if "seconds" in row), earlier),
         curve=curve,
-        final=final or (_evaluation(scored[-1]) if kind == "train" and finished and scored else None),
+        final=final or None,
         best=told.get("best") if kind == "codesign" else None,
         origin=told.get("origin") or {},
         config=config,
@@ -219,11 +213,6 @@ def _record(name: str, told: Row, config: Row, rows: list[dict[str, Any]], files
     count = told.get("n_designs") or (told.get("bodies") if kind == "codesign" else 0)
     best = record.ranked()[0] if kind == "codesign" and record.ranked() else record.best
     return replace(record, n_designs=max(len(record.designs), int(count or 0)), best=best)
-
-
-def _evaluation(row: Row) -> Row:
-    """Returns what a row of the table says of an evaluation, without what it says of the update."""
-    return {name: row[name] for name in _EVALUATION if name in row}
 
 
 def _kind(told: Row, config: Row, rows: Sequence[Row]) -> Kind:
@@ -250,11 +239,7 @@ def _stiffness(told: Row, config: Row, kind: Kind) -> Any:
 
 
 def _is_finished(files: RunFiles) -> bool:
-    """Whether co-design has used a budget and done all phases of its last generation, by the state that it saved.
-
-    Raises:
-        ValueError: The state cannot be read.
-    """
+    """Whether co-design has used a budget and done all phases of its last generation, by the state that it saved."""
     try:
         state = files.load(_STATE)
         if state is None or state["phase"] not in _FIRST_PHASES:  # None: killed in its first phase

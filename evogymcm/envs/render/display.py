@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from evogymcm.envs._extras import load_pygame
+from evogymcm._extras import load_pygame
 
 _logger = logging.getLogger("evogymcm")
 

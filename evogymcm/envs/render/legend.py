@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from evogymcm.envs._extras import load_pygame
+from evogymcm._extras import load_pygame
 from evogymcm.envs.render import palette
 from evogymcm.envs.render.palette import Color
 from evogymcm.sim.constants import FIXED, H_ACT, RIGID, SOFT, STIFFNESS_HIGH, STIFFNESS_LOW, V_ACT

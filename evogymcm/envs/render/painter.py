@@ -4,7 +4,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from evogymcm.envs._extras import load_pygame
+from evogymcm._extras import load_pygame
 from evogymcm.envs.render import palette
 from evogymcm.envs.render.scenery import Parts, View, stretches
 from evogymcm.sim.constants import FIXED, H_ACT, V_ACT, VOXEL

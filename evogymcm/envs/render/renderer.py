@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from evogymcm._extras import load_pygame
 from evogymcm.body import Body
-from evogymcm.envs._extras import load_pygame
 from evogymcm.envs.core import TaskEngine
 from evogymcm.envs.engines import engine_of
 from evogymcm.envs.render import palette

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from evogymcm.envs._extras import load_imageio
+from evogymcm._extras import load_ffmpeg, load_imageio
 from evogymcm.envs.render.renderer import FPS
 
 VIDEOS = (".mp4", ".gif")
@@ -63,10 +63,8 @@ def _open(imageio: Any, part: Path, fps: float) -> Any:
     """Returns a writer of frames."""
     if part.suffix.lower() == ".gif":
         return imageio.get_writer(part, mode="I", duration=1000 / fps, loop=0)
-    try:
-        return imageio.get_writer(part, format="FFMPEG", mode="I", fps=fps, codec="libx264", macro_block_size=1)
-    except ImportError as error:
-        raise ImportError("MP4 needs imageio-ffmpeg: pip install evogymcm[render]") from error
+    load_ffmpeg()
+    return imageio.get_writer(part, format="FFMPEG", mode="I", fps=fps, codec="libx264", macro_block_size=1)
 
 
 def _append(writer: Any, frames: Iterable[np.ndarray], is_even: bool) -> None:

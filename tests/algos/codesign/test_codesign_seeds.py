@@ -8,8 +8,7 @@ import pytest
 
 from evogymcm.algos import RunFolder
 from evogymcm.algos.codesign import codesign
-from evogymcm.algos.codesign.plan import generations
-from evogymcm.algos.learning.seeding import derived_seed
+from evogymcm.algos.codesign.plan import derived_seed, generations
 from tests.algos.codesign.test_codesign_methods import QUICK
 
 HALVED = replace(QUICK, budget=6, rungs=(0.5,), keep=(0.5,))

@@ -237,7 +237,7 @@ def test_updates_that_make_no_sense_are_refused():
         search.update(0, fitness=1.0)
     with pytest.raises(ValueError, match="carries_stiffness"):
         search.update(1, stiffness=np.ones(SHAPE))
-    with pytest.raises(ValueError, match="must be finite"):
+    with pytest.raises(ValueError, match="expected a finite number"):
         search.update(1, fitness=np.nan)
     carrying = GeneticAlgorithm(SHAPE, 8, 4, seed=0, carries_stiffness=True)
     carrying.ask()
