@@ -12,8 +12,6 @@ from evogymcm.algos.analysis import summarise
 from evogymcm.algos.learning import PPOConfig
 from evogymcm.algos.learning.config import Material
 
-__all__ = ["ARMS", "SIZES", "Contexts"]
-
 ARMS: Mapping[str, Mapping[str, str]] = {  # -> settings of PPOConfig
     "none": {"context": "none"},
     "body": {"context": "body"},

@@ -15,8 +15,6 @@ from evogymcm.algos.analysis import resample, summarise
 from evogymcm.algos.codesign import BodyPPOConfig, CodesignConfig, SearchConfig, codesign, cost_of
 from evogymcm.algos.runs import RunFolder, RunRecord
 
-__all__ = ["ARMS", "SIZES_B", "SIZES_C", "CodesignJob", "EvolvedRobots"]
-
 ARMS: Mapping[str, Mapping[str, Any]] = {  # -> what differs from the settings of a run with a search
     "fixed": {"search": None},
     "reactive": {"material": "reactive", "search": None},

@@ -9,8 +9,6 @@ from typing import Any, Protocol
 
 from benchmarks.experiments.paper import PAPER
 
-__all__ = ["Comparison", "Experiment", "Job", "Record", "Tell"]
-
 Record = dict[str, Any]  # of JSON types
 Tell = Callable[[int, float | None], None]  # env-steps done, and the latest score, None where there is no new one
 

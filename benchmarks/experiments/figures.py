@@ -14,8 +14,6 @@ from evogymcm._files import write_atomic
 from evogymcm.algos.analysis import Signals, VoxelSignals, align, band
 from evogymcm.envs.render import palette
 
-__all__ = ["best_curves", "designs", "learning_curves", "sharing", "signals"]
-
 _BLUE, _RED, _GREEN, _PINK, _YELLOW, _GREY = "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "0.5"
 _COLOURS: Mapping[str, str] = {
     "control-only": _BLUE, "co-optimisation": _RED,

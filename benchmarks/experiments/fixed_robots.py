@@ -17,8 +17,6 @@ from evogymcm.algos.analysis import coverage, difference, improvement, interquar
 from evogymcm.algos.learning import PPOConfig, TrainConfig
 from evogymcm.algos.learning.config import Material
 
-__all__ = ["SIZES", "FixedRobots"]
-
 KINDS = {"final": "final score", "best": "best in training"}  # scores of a run that are compared
 Pairs = Mapping[str, tuple[Record, Record]]  # task -> rows of both arms
 

@@ -12,8 +12,6 @@ import tyro
 from benchmarks.experiments import contexts, evolved_robots, fixed_robots, sharing, signals
 from benchmarks.experiments.experiment import Experiment
 
-__all__ = ["EXPERIMENTS", "SIZES", "Options", "WriteDocs", "command_of", "parse", "parse_command"]
-
 EXPERIMENTS: Mapping[str, tuple[str, Mapping[str, Experiment]]] = {  # -> what it is, and its settings in each size
     "A": ("fixed robots, with stiffness control and without", fixed_robots.SIZES),
     "B": ("evolved robots, with stiffness control and without", evolved_robots.SIZES_B),

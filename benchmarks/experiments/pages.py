@@ -11,8 +11,6 @@ from benchmarks.experiments.options import parse_command
 from benchmarks.experiments.paper import FIXED_ARMS
 from benchmarks.experiments.tables import table
 
-__all__ = ["RESULTS", "page", "pages", "write_docs"]
-
 ROOT = Path(__file__).resolve().parents[2]
 RESULTS, DOCS, README = ROOT / "benchmarks" / "results", ROOT / "docs" / "results.md", ROOT / "README.md"
 

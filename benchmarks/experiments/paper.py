@@ -5,8 +5,6 @@ from dataclasses import dataclass
 
 from evogymcm.algos.learning.config import Material
 
-__all__ = ["CONTROL", "FIXED_ARMS", "PAPER", "PUBLISHED", "PUBLISHED_BODIES", "TREATED", "PaperRow"]
-
 CONTROL, TREATED = "control-only", "co-optimisation"
 FIXED_ARMS: Mapping[str, Material] = {CONTROL: "invariant", TREATED: "reactive"}  # experiment A's -> material
 

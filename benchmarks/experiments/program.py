@@ -12,8 +12,6 @@ from benchmarks.experiments.workers import run_all
 from evogymcm._files import write_atomic
 from evogymcm.algos.runs import RunFolder, find_origin, usable_cores
 
-__all__ = ["main"]
-
 _TYPICAL_RATE = 2_500  # env-steps per second of one process, updates included, on one core
 _PRESETS = "--preset is gone: write A, B or C, and --size quick, small or paper; --help tells more"
 

@@ -19,8 +19,6 @@ from evogymcm.algos.learning import Trainer
 from evogymcm.algos.runs import RunFolder
 from evogymcm.envs import SoftRobotEnv, as_task
 
-__all__ = ["ARMS", "ORDER", "SIZES", "ArmJob", "Sharing"]
-
 SHAPE = (5, 5)
 ARMS: Mapping[str, tuple[str, str]] = {  # -> policies trained on the seen bodies, and then on the unseen ones
     "shared": ("shared", "fine-tuned"),

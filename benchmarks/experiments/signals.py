@@ -15,8 +15,6 @@ from evogymcm._files import write_atomic
 from evogymcm.algos.analysis import Signals, analyse_signals, record_episode
 from evogymcm.algos.runs import load_policy
 
-__all__ = ["SIZES", "SignalStudy", "analyse_run", "signals_table"]
-
 _HEAD = ("score", "same frequency", "lag, degrees", "coherence", "impacts", "rise before impact", "rank")
 
 

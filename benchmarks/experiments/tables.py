@@ -2,8 +2,6 @@
 
 from collections.abc import Sequence
 
-__all__ = ["joined", "table", "with_interval"]
-
 
 def table(lines: Sequence[Sequence[str]]) -> str:
     """Returns lines of cells, the head first, as a Markdown table whose columns stand one under another."""

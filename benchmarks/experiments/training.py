@@ -14,8 +14,6 @@ from benchmarks.experiments.signals import analyse_run
 from evogymcm.algos.learning import Progress, TrainConfig, train
 from evogymcm.algos.runs import RunFolder, RunRecord
 
-__all__ = ["TrainingJob", "best_score", "mean_of_curve", "rate"]
-
 
 @dataclass(frozen=True)
 class TrainingJob:

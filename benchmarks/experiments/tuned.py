@@ -6,8 +6,6 @@ A setting is here only where it was chosen on other seeds than those that are re
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-__all__ = ["TUNED", "Tuned"]
-
 
 @dataclass(frozen=True)
 class Tuned:

@@ -20,8 +20,6 @@ from benchmarks.experiments.experiment import Experiment, Job, Record
 from evogymcm.algos.learning import keep_freed_memory
 from evogymcm.algos.runs import stop_on_interrupt
 
-__all__ = ["run_all"]
-
 
 @dataclass(frozen=True)
 class _Link:

@@ -60,6 +60,3 @@ class PerWorld:
             raise ValueError(f"values: got {len(values)}, expected one for each of {len(self.worlds)} worlds")
         for world, value in zip(self.worlds, values, strict=True):
             setattr(world, name, value)
-
-
-__all__ = ["PerWorld", "VectorWorld"]

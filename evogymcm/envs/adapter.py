@@ -56,6 +56,3 @@ class Adapter:
     def _heads(self) -> tuple[str, ...]:
         """The names of an action's parts."""
         return ("actuation", "stiffness") if self.engine.material == "reactive" else ("actuation",)
-
-
-__all__ = ["Adapter"]

@@ -2,8 +2,6 @@
 
 from evogymcm.envs.core import TaskEngine
 
-__all__ = ["engine_of"]
-
 
 def engine_of(worlds: object) -> TaskEngine:
     """Returns the engine of an environment of this library, whatever wraps it, or the engine that is given.

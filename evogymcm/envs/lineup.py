@@ -53,6 +53,3 @@ class Lineup:
             return tuple(body for body, _ in given), np.stack([field for _, field in given])
         bodies = tuple(self._designs[i % self.num_designs] for i in range(n))
         return bodies, deal_fields(self._stiffness, self._designs, self._material, n, self.grid_shape)
-
-
-__all__ = ["Lineup"]

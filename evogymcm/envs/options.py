@@ -104,6 +104,3 @@ def lists_options(init: Constructor) -> Constructor:
     first = [parameter for parameter in own if parameter.kind is not by_name]
     vars(init)["__signature__"] = signature.replace(parameters=[*first, *listed, *own[len(first) :]])
     return init
-
-
-__all__ = ["DEFAULTS", "EngineOptions", "WorldOptions", "as_physics", "complete", "lists_options"]

@@ -273,5 +273,3 @@ class BodiesParallelEnv(Adapter, Rendered, ParallelEnv[str, Observation, Action]
 
 
 parallel_env = BodiesParallelEnv  # PettingZoo's name for what makes one: parallel_env("Walker-v0", bodies)
-
-__all__ = ["BodiesParallelEnv", "parallel_env"]

@@ -206,5 +206,3 @@ class PopulationEnv(Adapter, EnvBase):
 
 
 population_env = PopulationEnv  # the name for calls: population_env("Walker-v0", bodies)
-
-__all__ = ["GROUP", "PopulationEnv", "population_env"]

@@ -122,6 +122,3 @@ class SB3VecEnv(VecEnv):
     def env_is_wrapped(self, wrapper_class: type, indices: Any = None) -> list[bool]:
         """Returns whether each world has that wrapper: none has, except that `info` has the entries of a `Monitor`."""
         return [wrapper_class is Monitor for _ in self._get_indices(indices)]
-
-
-__all__ = ["SB3VecEnv"]

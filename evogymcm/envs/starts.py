@@ -7,8 +7,6 @@ import numpy as np
 from evogymcm._settings import check_count
 from evogymcm.sim.simulator import Simulator
 
-__all__ = ["START_NOISE", "Starts", "checked_part_of"]
-
 START_NOISE = 1e-6  # metres
 
 

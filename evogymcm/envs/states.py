@@ -52,6 +52,3 @@ def checked_rngs(state: Any, rngs: Sequence[np.random.Generator]) -> list[np.ran
             raise ValueError(f"state: 'rngs' hold one that is no {type(bits).__name__}'s: {error}") from error
         made.append(np.random.Generator(bits))
     return made
-
-
-__all__ = ["checked_arrays", "checked_part", "checked_rngs"]

@@ -130,6 +130,3 @@ def pack_bodies(bodies: Sequence[Body]) -> list[list[np.ndarray]]:
 def unpack_bodies(packed: Sequence[Sequence[np.ndarray]]) -> list[Body]:
     """Returns the bodies that `pack_bodies` packed."""
     return [Body(grid, connections) for grid, connections in packed]
-
-
-__all__ = ["BodySource", "BodyStream", "is_source", "pack_bodies", "unpack_bodies"]

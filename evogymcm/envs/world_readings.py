@@ -158,6 +158,3 @@ class WorldReadings:
             near = distance[(x > cx + (i - 0.5)) & (x < cx + (i + 0.5)) & (distance > 0.0)]
             seen[i + radius] = min(reach, near.min() if near.size else nothing)
         return VOXEL * seen
-
-
-__all__ = ["WorldReadings"]

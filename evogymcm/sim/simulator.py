@@ -182,6 +182,3 @@ class Simulator(Worlds):
 
     def __getstate__(self) -> dict[str, Any]:
         return super().__getstate__() | {"_scratches": [], "_advance": None}
-
-
-__all__ = ["Objects", "Simulator"]

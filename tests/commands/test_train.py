@@ -67,7 +67,7 @@ def test_random_bodies_of_one_stiffness_learn_and_others_are_scored(sprint, caps
 
 def test_the_robust_score_is_told_where_there_are_several_starts(sprint, capsys):
     assert main(["train", sprint, "--body", BODY, *TINY, "--eval-starts", "2", "--selection", "robust"]) == 0
-    final = json.loads(Path("runs/Sprint-v0-reactive-seed0/result.json").read_text())["final"]
+    final = json.loads(Path("runs/Sprint-v0-invariant-seed0/result.json").read_text())["final"]
     out = capsys.readouterr().out
     assert number(out, "robust") == pytest.approx(final["robust_score"], abs=6e-4)
     assert f"± {final['spread']:.3f}: the score from 2 starts" in out

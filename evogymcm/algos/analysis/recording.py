@@ -12,8 +12,6 @@ from evogymcm.envs.engines import engine_of
 if TYPE_CHECKING:
     from tensordict.nn import TensorDictModuleBase
 
-__all__ = ["CONTACT_DEPTH", "CONTACT_TOLERANCE", "GroundContact", "Recording", "record_episode"]
-
 CONTACT_TOLERANCE = 0.002  # metres above a surface that still count as touching it; at rest it is less than 0.001
 CONTACT_DEPTH = 0.02  # metres below it that do: deeper points came in through another side, such as a wall
 

@@ -18,8 +18,6 @@ from evogymcm.algos.analysis.recording import Recording
 from evogymcm.algos.analysis.statistics import bootstrap
 from evogymcm.sim.constants import SUBSTEPS, Physics
 
-__all__ = ["Signals", "Spectra", "TouchDown", "VoxelSignals", "analyse_signals"]
-
 Array = NDArray[np.float64]
 
 STEP_SECONDS = SUBSTEPS * Physics().substep  # an env-step in simulated time, whose unit is taken as a second

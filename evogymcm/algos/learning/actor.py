@@ -16,8 +16,6 @@ from evogymcm.algos.learning.layers import N_INPUTS, Dense, NormalizedDense, com
 from evogymcm.algos.learning.stacking import take_state
 from evogymcm.algos.learning.threads import explores
 
-__all__ = ["Actor", "MLPActor", "VoxelActor", "load_actor", "make_actor"]
-
 # Action entry -> observation that marks the voxels it drives, and the mean action before training. Actuation starts
 # in the middle of its range, stiffness at 1, where a co-optimised robot is the same robot as a control-only one.
 _HEADS: Mapping[str, tuple[str, float | None]] = {"actuation": ("actuators", None), "stiffness": ("occupancy", IDLE)}

@@ -10,8 +10,6 @@ from evogymcm._settings import EdgeRule, Material, check_count, check_fields, ch
 from evogymcm.algos.learning.bodies import N_HELD_OUT, as_texts, default_body, held_out_bodies, written_out
 from evogymcm.body import STIFFNESS_HIGH, STIFFNESS_LOW, Body, as_body, check_stiffness
 
-__all__ = ["PPOConfig", "TrainConfig"]
-
 Network = Literal["voxel", "mlp"]
 Context = Literal["none", "body", "message", "attention"]
 Sharing = Literal["shared", "independent"]

@@ -16,8 +16,6 @@ from evogymcm._settings import check_choice
 from evogymcm.algos.learning.config import CONTEXTS
 from evogymcm.algos.learning.layers import Dense, pool
 
-__all__ = ["Context", "make_context"]
-
 
 class Context(nn.Module):
     """Nothing: the plain local network, in which a voxel knows its own surroundings only.

@@ -11,8 +11,6 @@ from torchrl.envs import EnvBase
 from evogymcm.algos.learning.actor import check_network
 from evogymcm.algos.learning.layers import N_INPUTS, Dense, NormalizedDense, pool, voxel_frame, voxel_inputs
 
-__all__ = ["Critic", "MLPCritic", "VoxelCritic", "make_critic"]
-
 
 class VoxelCritic(TensorDictModuleBase):
     """Value of a body's state; takes any number of bodies, of any shape, in any padded grid.

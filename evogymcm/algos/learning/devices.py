@@ -6,8 +6,6 @@ from typing import Any
 import torch
 from torch import Tensor
 
-__all__ = ["find_device", "on_cpu"]
-
 
 def find_device(name: str) -> torch.device:
     """Returns the device of a name.

@@ -13,8 +13,6 @@ from torch.distributions import Distribution
 from torch.distributions.constraints import Constraint
 from torch.special import log_ndtr
 
-__all__ = ["IDLE", "MaskedClippedNormal", "VoxelActions"]
-
 Shape = torch.Size | list[int] | tuple[int, ...]
 
 IDLE = 1.0  # rest length and unit stiffness: what voxels that are not driven are given

@@ -14,8 +14,6 @@ from evogymcm.envs.task import Task
 if TYPE_CHECKING:
     from tensordict.nn import TensorDictModuleBase
 
-__all__ = ["Evaluation", "draws_of", "evaluate", "mean_of_rows"]
-
 _RANDOM_DRAWS = 8
 
 

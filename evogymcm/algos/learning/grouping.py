@@ -6,8 +6,6 @@ import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 
-__all__ = ["InGroups"]
-
 
 class InGroups(TensorDictModuleBase):
     """Policies that are dealt to groups of worlds in turn. Each group is asked by itself, whoever stands beside it.

@@ -8,8 +8,6 @@ from torch import Tensor, nn
 
 from evogymcm.envs.voxels import N_FEATURES, N_SIDES, N_TYPES, POSITIONS, VELOCITIES
 
-__all__ = ["N_INPUTS", "Dense", "NormalizedDense", "affine", "compact", "pool", "voxel_frame", "voxel_inputs"]
-
 N_INPUTS = N_FEATURES + N_SIDES * (N_TYPES - 1)  # of a voxel, as `voxel_inputs` gives them
 _OF_VOXELS = ("voxels", "types", "occupancy", "actuators")  # entries (..., V) or (..., V, features), as are actions
 _CORNERS = 4

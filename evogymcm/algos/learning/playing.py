@@ -13,8 +13,6 @@ from evogymcm.envs.engines import engine_of
 if TYPE_CHECKING:  # gaits are played without torch
     from tensordict.nn import TensorDictModuleBase
 
-__all__ = ["Episodes", "Gait", "play"]
-
 Gait = Callable[[TaskEngine], tuple[np.ndarray, np.ndarray | None]]
 _RECORDS = ("score", "returns", "unstable", "goal")
 

@@ -14,9 +14,6 @@ from evogymcm.algos.learning.critic import Critic
 from evogymcm.algos.learning.devices import on_cpu
 from evogymcm.algos.learning.stacking import by_design, by_world
 
-__all__ = ["PPOLearner", "clip_gradients"]
-
-
 _LOGGED = {
     "loss_policy": "loss_objective",
     "loss_value": "loss_critic",

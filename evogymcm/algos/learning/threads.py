@@ -12,8 +12,6 @@ from contextvars import ContextVar
 import torch
 from torchrl.envs.utils import ExplorationType, exploration_type, set_exploration_type
 
-__all__ = ["exploration", "explores", "limited_threads"]
-
 _LOCK = threading.Lock()
 _EXPLORES: ContextVar[bool | None] = ContextVar("explores", default=None)  # None: as TorchRL's exploration type says
 

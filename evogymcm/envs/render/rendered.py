@@ -55,6 +55,3 @@ class Rendered:
         self.engine.close()
         if self._window:
             self._window.close()
-
-
-__all__ = ["Rendered", "check_render_mode"]

@@ -209,6 +209,3 @@ def make_renderer(engine: TaskEngine, mode: str | None, options: Mapping[str, An
     if mode is None:
         return None
     return Renderer(engine, **{name: value for name, value in given.items() if name in _OPTIONS})
-
-
-__all__ = ["FPS", "VIEWS", "Renderer", "make_renderer"]

@@ -91,6 +91,3 @@ def _publish(part: Path, path: Path) -> None:
     with part.open("rb+") as file:
         os.fsync(file.fileno())
     part.replace(path)
-
-
-__all__ = ["VIDEOS", "write_picture", "write_video"]
