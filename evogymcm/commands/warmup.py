@@ -4,7 +4,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-DESCRIPTION = """Compiles the simulator (about 25 s) and keeps it on disk. Without it the first simulation does
+DESCRIPTION = """Compiles the simulator (about 20 s) and keeps it on disk. Without it the first simulation does
 the same; where the machine code is there already, this takes a moment.
 
 examples:

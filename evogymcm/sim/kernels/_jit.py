@@ -79,4 +79,4 @@ def announce_compilation(function: Any) -> None:
     except AttributeError:  # the JIT is off, or numba keeps its cache elsewhere
         return
     if not is_ready:
-        _logger.warning("compiling the simulator's kernels, once on this machine (about 25 s) ...")
+        _logger.warning("compiling the simulator's kernels, once on this machine (about 20 s) ...")
