@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from evogymcm.sim import constants, parts, simulator, topology
+from evogymcm.sim import constants, parts, simulator, topology, worlds
 from evogymcm.sim.constants import H_ACT, RIGID, SOFT, V_ACT, Physics
 from tests.sim import test_golden as golden
 
@@ -57,7 +57,7 @@ def test_unchanged_constants_are_not_noticed():
 @pytest.mark.parametrize("name", list(asdict(Physics())))
 def test_a_constant_of_the_integration_or_contact_is_held(name, monkeypatch):
     changed = {name: OFF * getattr(Physics(), name)}
-    monkeypatch.setattr(simulator, "Physics", partial(Physics, **changed))
+    monkeypatch.setattr(worlds, "Physics", partial(Physics, **changed))
     assert is_noticed()
 
 
