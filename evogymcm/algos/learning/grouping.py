@@ -33,7 +33,7 @@ class InGroups(TensorDictModuleBase):
         out = [self.policies[g % len(self.policies)](rows[g * size : (g + 1) * size]) for g in asked]
         for key in self.out_keys:
             answers = torch.cat([group.get(key) for group in out])
-            actions = torch.ones(len(rows), *answers.shape[1:], dtype=answers.dtype)
+            actions = answers.new_ones(len(rows), *answers.shape[1:])
             actions[is_running.repeat_interleave(size)] = answers
             tensordict.set(key, actions)
         return tensordict

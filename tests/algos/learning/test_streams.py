@@ -35,6 +35,17 @@ def test_training_meets_ever_new_bodies_and_evaluations_the_same_others():
     assert env.grid_shape == played[0].grid_shape == (3, 3)
 
 
+def test_the_others_may_be_played_from_several_starts():
+    with make_trainer(CONFIG, num_threads=1) as one:
+        alone = one.evaluate()
+    several = replace(CONFIG, ppo=replace(CONFIG.ppo, eval_starts=2))
+    with make_trainer(several, num_threads=1) as two:
+        both = two.evaluate()
+    assert both.starts.shape == (2, 5)
+    np.testing.assert_array_equal(both.score, alone.score)
+    assert (both.spread > 0).any()
+
+
 def test_a_stopped_run_goes_on_with_the_same_bodies(tmp_path):
     whole = train(CONFIG, num_threads=1)
     calls = iter(range(100))
