@@ -12,8 +12,6 @@ from evogymcm.envs.dealing import BodySpec
 from evogymcm.envs.task import Task
 from evogymcm.envs.tasks import as_task
 
-__all__ = ["Part", "SelfCheck", "check_task", "selfcheck"]
-
 _N_WORLDS, _ALL = 3, slice(None)
 _SHOWN = ("flat", "features", "reward", "score", "returns", "length", "terminated", "truncated", "unstable", "reached")
 

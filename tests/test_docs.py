@@ -86,6 +86,7 @@ def test_pages_with_code_are_these():
         "learning",
         "other-libraries",
         "pettingzoo",
+        "reports",
         "tasks",
         "torchrl",
     }
@@ -127,7 +128,7 @@ def test_commands_of_the_pages_exist(capsys):
     main = script.load()
     text = "".join(PAGES.values()) + (ROOT / "README.md").read_text(encoding="utf-8")
     named = set(re.findall(r"(?:python -m evogymcm|^evogymcm|`evogymcm) (\w+)", text, re.MULTILINE))
-    assert {"codesign", "report", "tasks", "train", "warmup", "watch"} <= named
+    assert {"codesign", "report", "selfcheck", "tasks", "train", "warmup", "watch"} <= named
     lines = re.findall(r"(?:python -m evogymcm|^evogymcm|`evogymcm) (\w+)([^#`\n]*)", text, re.MULTILINE)
     for command in named:
         with pytest.raises(SystemExit) as stop:

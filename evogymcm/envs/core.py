@@ -177,10 +177,8 @@ class TaskEngine(Observed, Episodes):
             self._stream.is_new[True if mask is None else mask] = False
         reader = self._reader
         reader.turn()
-        if self.memory:
-            reader.remember(self.memory, mask)
-        if self.with_voxels:
-            self._renew_voxels(mask)
+        reader.remember(self.memory, mask)
+        self._renew_voxels(mask)
         unstable = self.simulator.step(self.actuation, factors, mask, reader.read)
         if mask is not None:
             reader.keep(~mask)
@@ -209,15 +207,17 @@ class TaskEngine(Observed, Episodes):
 
         World w is world w % n from start w // n, and draws what that one draws. Start 0 is the exact one; in the others
         each point of the robot is moved by normal noise of 1e-6 metres, which the seed and the start's number say.
-        Nothing happens before the next reset. It is no part of the state, and 1 undoes it.
+        Nothing happens before the next reset. It is no part of the state; 1 undoes it, draws included. Seeds and states
+        are set before, not in between.
 
         Raises:
             ValueError: The worlds are no such repetition, or get their bodies from a stream.
         """
         n = checked_part_of(starts, self.num_worlds, self.num_designs, is_stream=self._stream is not None)
-        self._starts = Starts(np.arange(self.num_worlds) // n, seed) if starts > 1 else None
-        for world in range(n, self.num_worlds):
-            self._rngs[world] = copy.deepcopy(self._rngs[world % n])
+        if self._starts is not None:
+            self._rngs[self._starts.part :] = self._starts.rngs
+        self._starts = Starts(n, self._rngs[n:], seed) if starts > 1 else None
+        self._rngs[n:] = [copy.deepcopy(self._rngs[world % n]) for world in range(n, self.num_worlds)]
 
     def state(self) -> dict[str, Any]:
         """Returns a copy of everything that a step or a reset can change, for `set_state`.

@@ -180,6 +180,7 @@ class GymnasiumVectorEnv(Described, PerWorld, VectorEnv[np.ndarray, np.ndarray, 
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self.metadata = self.metadata | {"autoreset_mode": self.autoreset_mode}
         self.engine = TaskEngine(task, designs, num_envs, seed=None, with_voxels=False, **options)
+        self.changed = self.engine.simulator.physics.changed()  # constants that are not the benchmark's
         self.num_envs = num_envs
         self._limit = self.engine.task.time_limit if max_episode_steps is None else max_episode_steps
         self.single_observation_space, self.single_action_space = _single_spaces(self.engine)
@@ -204,7 +205,7 @@ class GymnasiumVectorEnv(Described, PerWorld, VectorEnv[np.ndarray, np.ndarray, 
             "score": engine.score.copy(),
             "return": engine.returns.copy(),
         }
-        changed = {name: np.full(self.num_envs, value) for name, value in engine.simulator.physics.changed().items()}
+        changed = {name: np.full(self.num_envs, value) for name, value in self.changed.items()}
         if changed:
             info["physics"] = changed | {f"_{name}": all_worlds.copy() for name in changed}
         return info | {f"_{key}": all_worlds.copy() for key in info}

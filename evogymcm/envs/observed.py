@@ -83,7 +83,7 @@ class Observed:
 
     @property
     def snapshot(self) -> Snapshot:
-        """The current readings. They are overwritten by the step after the next."""
+        """The current readings. They are overwritten by the next reset, and by the step after the next."""
         return self._reader.now
 
     @property

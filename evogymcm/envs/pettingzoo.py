@@ -9,6 +9,7 @@ from pettingzoo import ParallelEnv
 
 from evogymcm._messages import brief, some
 from evogymcm.body import Body
+from evogymcm.envs import checks
 from evogymcm.envs.adapter import Adapter
 from evogymcm.envs.core import TaskEngine
 from evogymcm.envs.dealing import BodySpec, as_bodies, check_grid_shape
@@ -87,7 +88,7 @@ class BodiesParallelEnv(Adapter, Rendered, ParallelEnv[str, Observation, Action]
         self.possible_agents = [f"body_{i}" for i in range(len(designs))]
         self.agents: list[str] = []
         self._index = {agent: i for i, agent in enumerate(self.possible_agents)}
-        self.np_random = np.random.default_rng(seed if isinstance(seed, int | None) else seed[0])
+        self.np_random = np.random.default_rng(checks.checked_seeds(seed, len(designs))[0])
         self._build(task, designs)
         self._make_spaces()
 
@@ -125,7 +126,7 @@ class BodiesParallelEnv(Adapter, Rendered, ParallelEnv[str, Observation, Action]
     @property
     def n_cells(self) -> int:
         """V, cells of the padded grid."""
-        return self.grid_shape[0] * self.grid_shape[1]
+        return self.engine.simulator.n_cells
 
     def observation_space(self, agent: str) -> spaces.Space[Any]:
         """Returns the agent's observation space, always the same object."""

@@ -95,7 +95,7 @@ class SB3VecEnv(VecEnv):
         """Returns the info of each world."""
         names = [name for name in ("com", "unstable", "reached", "score", "return") if name in info]
         rows = [dict(zip(names, values, strict=True)) for values in zip(*(info[name] for name in names), strict=True)]
-        changed = self.envs.engine.simulator.physics.changed()
+        changed = self.envs.changed
         return [row | {"physics": dict(changed)} for row in rows] if changed else rows
 
     def close(self) -> None:

@@ -1,6 +1,6 @@
 """Starts that differ by a hair, to see how much of an episode is chance: contact makes much of little."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
@@ -17,17 +17,18 @@ class Starts:
     and the start's number: one start is the same in all worlds, for all their episodes.
 
     Args:
-        numbers: (N,) which start each world has.
+        part: Worlds that each start has: world w has start w // part.
+        rngs: What the worlds beyond the first part drew from before, to be given back.
         seed: Where the noise comes from.
     """
 
-    def __init__(self, numbers: np.ndarray, seed: int) -> None:
-        self._numbers, self._seed = numbers, seed
+    def __init__(self, part: int, rngs: Sequence[np.random.Generator], seed: int) -> None:
+        self.part, self.rngs, self._seed = part, rngs, seed
 
     def move(self, simulator: Simulator, worlds: Iterable[int]) -> None:
         """Moves the robots of worlds that have just been reset."""
         for world in worlds:
-            if start := int(self._numbers[world]):
+            if start := int(world) // self.part:
                 rng = np.random.default_rng(np.random.SeedSequence(self._seed, spawn_key=(start,)))
                 robot = simulator.objects(world)[0]
                 simulator.move(robot.name, START_NOISE * rng.standard_normal((len(robot.places), 2)), world)

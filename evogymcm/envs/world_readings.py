@@ -100,7 +100,7 @@ class WorldReadings:
 
     def get_relative_pos_obs(self, object_name: str) -> np.ndarray:
         """Returns (2n,) an object's points minus its centre of mass, all x first."""
-        return self._read(object_name)[1].ravel()
+        return self._read(object_name)[1].flatten()
 
     def get_floor_obs(
         self, object_name: str, terrain_list: Sequence[str], sight_dist: int, sight_range: float = WINDOW_REACH

@@ -63,8 +63,11 @@ def animate(arm: Arm, run: RunRecord, policy: Path) -> tuple[str, str]:
 
     saved = load_policy(policy)
     env = saved.make_env(1, task=run.task, num_threads=1)
-    renderer, episode = Renderer(env, WIDTH, HEIGHT), play(saved.module(env), env, steps=STEPS)
-    frames = [renderer.frame() for now in episode if now.step % EVERY == 0 or not now.running.any()]
+    try:
+        renderer, episode = Renderer(env, WIDTH, HEIGHT), play(saved.module(env), env, steps=STEPS)
+        frames = [renderer.frame() for now in episode if now.step % EVERY == 0 or not now.running.any()]
+    finally:
+        env.close(raise_if_closed=False)
     which = f"{policy.stem} policy" if run.kind == "train" else f"number {run.ranked()[0]['index']}"
     what = f"{which}, {saved.material} stiffness, env-steps 0 to {env.engine.length[0]}"
     return gif_uri(frames), f"{arm.title(run)}: {what}"

@@ -159,6 +159,7 @@ def _check_signals(folder, runs):
     assert record["score"] == pytest.approx(run["final"]["score"], abs=1e-4)
     assert run["signals"]["score"] == run["final"]["score"]
     assert len(record["voxels"]) == robots["Walk_Bot"].n_voxels
+    assert {len(voxel["stiffness"]) for voxel in record["voxels"]} == {500}
     path.unlink()
     given = ["--folders", path.parent, "--output", folder.parent / "signals"]
     done = program("signals", *given)

@@ -117,7 +117,9 @@ def test_evogyms_methods_give_evogyms_numbers():
     relative = one.get_relative_pos_obs("robot")
     np.testing.assert_allclose(one.object_pos_at_time(now, "robot"), one.points("robot"), rtol=0, atol=1e-15)
     assert all(part in observation for part in relative)
+    kept = relative.copy()
     env.reset()
+    np.testing.assert_array_equal(relative, kept)  # no view of what a reset writes
     assert one.get_time() == 0
 
 

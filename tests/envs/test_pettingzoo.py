@@ -87,6 +87,11 @@ def test_spaces_hold_what_is_given(material):
     assert occupancy.tolist() == [1, 1, 1, 1, 1, 0, 0, 1, 0, 0, 0, 0]
 
 
+def test_seeds_may_be_numpys():
+    env = parallel_env("Walker-v0", ["HH/VV"], seed=np.int64(3))
+    assert env.np_random.random() == np.random.default_rng(3).random()
+
+
 def test_masks_are_boxes():
     observation = make_env().observation_space("body_0")
     assert [observation[key] for key in ("occupancy", "actuators")] == [spaces.Box(0, 1, (12,), np.int8)] * 2

@@ -53,8 +53,9 @@ def test_every_bit_is_the_references(name):
                 expected, compared = record[f"pos__{obj}"][at[step]], compared + 1
                 error = np.abs(sim.positions(obj) - expected).max()
                 assert error <= (0.0 if SAME_LIBRARY else EARLY_TOLERANCE), f"step {step}"
-            if step in vel_at and SAME_LIBRARY:
-                np.testing.assert_array_equal(sim.velocities(obj), record[f"vel__{obj}"][vel_at[step]], f"step {step}")
+            if step in vel_at:
+                error = np.abs(sim.velocities(obj) - record[f"vel__{obj}"][vel_at[step]]).max()
+                assert error <= (0.0 if SAME_LIBRARY else 1e-5), f"step {step}"
     assert unstable == bool(record["unstable"])
     assert compared >= 2
 

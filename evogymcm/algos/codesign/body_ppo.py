@@ -19,7 +19,7 @@ class BodyPPOConfig(PPOConfig):
         minibatch: env-steps of one body in a gradient step.
         eval_interval: env-steps of one body between evaluations; 0 for only the untrained and the final policy.
         sharing: "independent" (each body has a policy of its own) or "shared" (bodies that train together have one).
-        eval_worlds: worlds in which each body is evaluated; None for one, or 8 where the task draws at random.
+        eval_worlds: not to be set: each body is evaluated in one world, or in 8 where the task draws at random.
 
     Raises:
         ValueError: A value is of the wrong kind or out of range.

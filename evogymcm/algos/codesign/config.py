@@ -121,8 +121,9 @@ class CodesignConfig:
         attempts: attempts at a valid mutant before another parent is drawn.
         weights: relative frequencies of empty, rigid, soft, horizontal and vertical cells in random bodies and in cells
             drawn anew (EvoGym's by default).
-        mutants: mutants of one parent for each child, each played once under the parent's policy; the best is trained.
-            1 takes the first, as EvoGym does; more need `inherit` and the genetic algorithm.
+        mutants: mutants of one parent for each child, each played once from the exact start under the policy of that
+            parent; the best is trained. 1 takes the first, as EvoGym does; more need `inherit` and the genetic
+            algorithm.
         inherit: whether a child starts from its parent's policy instead of a fresh one; needs a method that has
             parents, and policies that are not shared, since one policy cannot start from several.
         inherit_std: standard deviation with which an inherited policy explores at first, in half ranges of the action;

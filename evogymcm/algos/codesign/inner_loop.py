@@ -120,6 +120,6 @@ def _apart(result: TrainResult, n: int, selection: str) -> Trained:
         parts = ("actor", "critic")
         return [{"form": form} | {name: take_state(policy[name], i) for name in parts} for i in range(n)]
 
-    scores = result.best[selection].numpy().astype(np.float64)
+    scores = result.best[selection].numpy().astype(np.float64).reshape(-1, n).mean(0)
     env_steps = result.env_steps + result.eval_steps
     return Trained(split(result.best), split(result.policy), scores, env_steps, result.finished)

@@ -208,7 +208,8 @@ class Codesign:
             self._report(steps)
         self.env_steps += steps
         for individual, stiffness, score in zip(survivors, *search.best, strict=True):
-            if score > (individual.fitness or 0.0) or not np.array_equal(stiffness, individual.design.field):
+            assert individual.fitness is not None
+            if score > individual.fitness or not np.array_equal(stiffness, individual.design.field):
                 self.body_search.update(individual.index, stiffness=stiffness, fitness=float(score))
         self._record_survivors(told)
         return True
@@ -226,7 +227,8 @@ class Codesign:
         told = dict[int, dict[str, float]]()
         fitness = alone.by(self.config.selection).tolist()
         for i, individual in enumerate(survivors):
-            if fitness[i] > (individual.fitness or 0.0):
+            assert individual.fitness is not None
+            if fitness[i] > individual.fitness:
                 self.ledger.store(individual.index, trained.best[i])
                 told[individual.index] = alone.row(i)
                 self.body_search.update(individual.index, fitness=fitness[i])

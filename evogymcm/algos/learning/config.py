@@ -67,8 +67,9 @@ class PPOConfig:
             further than white noise, whose pushes cancel each other (Hollenstein et al., 2024); in any single
             step the noise has the policy's distribution, and the likelihood ratios use nothing else.
         eval_interval: env-steps between evaluations; 0 for only the untrained and the final policy.
-        eval_worlds: worlds in an evaluation; None for one of each design, or 8 where the task draws at random.
-        eval_starts: starts that differ by a hair from which each of them is played, see `evaluate`.
+        eval_worlds: worlds in an evaluation; None for one of each design (8 where the task draws at random), or for 64
+            held-out bodies under random bodies.
+        eval_starts: number of starts, a hair apart, from which each world of an evaluation is played, see `evaluate`.
         selection: what the best policy is best by: the score of the exact start, or the "robust" one, the mean over
             several starts.
         seed: seed of weights, exploration and environments.
@@ -182,6 +183,9 @@ class TrainConfig:
         if self.material == "reactive":
             raise ValueError("stiffness: in the reactive setting the policy sets it; leave it out, or set material")
         if not isinstance(self.stiffness, float):
+            if isinstance(self.stiffness, str) or any(np.ndim(rows) != 2 for rows in self.stiffness):
+                expected = "a number, or rows of numbers for each body"
+                raise ValueError(f"stiffness: got {brief(self.stiffness)}, expected {expected}")
             fields = tuple(tuple(tuple(map(float, row)) for row in rows) for rows in self.stiffness)
             object.__setattr__(self, "stiffness", fields)
 

@@ -244,6 +244,8 @@ def _is_finished(files: RunFiles) -> bool:
         state = files.load(_STATE)
         if state is None or state["phase"] not in _FIRST_PHASES:  # None: killed in its first phase
             return False
+        if state["search"].get("pending"):  # children were chosen, and wait to be trained
+            return False
         limit, budget = files.config.get("max_env_steps"), files.config.get("budget")
         spent, proposed = state["env_steps"], state["search"]["n_designs"]
     except (KeyError, RuntimeError, TypeError, EOFError, pickle.UnpicklingError) as error:

@@ -143,3 +143,4 @@ def test_scores_are_means_over_eight_draws_where_resets_are_random(zigzag):
         assert mean[0] == pytest.approx(np.mean(parts), abs=1e-9)
     config = replace(QUICK, task=zigzag, search=None, inherit=True, mutants=2)
     assert codesign(config).env_steps == cost_of(config).total
+    assert train_designs(make_env, [design] * 3, replace(PPO, sharing="shared")).scores.shape == (3,)

@@ -162,6 +162,10 @@ def test_starts_of_one_world_draw_the_same_and_a_seed_tells_them():
     for world in range(4):
         np.testing.assert_array_equal(points[world], exact.simulator.points(world))
         assert 0 < np.abs(points[world + 4] - points[world]).max() < 6e-6
+    engine.set_starts(1)  # each world has its own draws again
+    engine.reset()
+    exact.reset()
+    np.testing.assert_array_equal(engine.memory["goals"][4:], exact.memory["goals"][4:])
     results = [
         evaluate(sine_gait, TaskEngine(DRAWN, "HHH/V.V", 2), 2, start_seed=seed).starts.tolist() for seed in (0, 0, 1)
     ]

@@ -128,6 +128,8 @@ def test_settings_of_training_are_checked():
         ({"material": "steel"}, "invariant, reactive"),
         ({"material": "reactive", "stiffness": 1}, "the policy sets it"),
         ({"stiffness": 3}, "at most 2"),
+        ({"stiffness": "2"}, "stiffness: got '2', expected a number"),
+        ({"stiffness": [1.0, 2.0]}, "expected a number, or rows of numbers for each body"),
         ({"edge_rule": "mean"}, "mean_factor"),
         ({"ppo": None}, "expected a PPOConfig"),
     ):
