@@ -1,0 +1,11 @@
+"""Open-loop gaits: waves of actuation that a search fits to a body, without a network."""
+
+from evogymcm._doors import door
+
+__getattr__, __dir__, __all__ = door(
+    __name__,
+    {
+        "search": ["FoundGaits", "GaitConfig", "search_gaits"],
+        "wave": ["Waves"],
+    },
+)
