@@ -88,6 +88,14 @@ def check_numbers(name: str, value: Any) -> tuple[float, ...]:
     return tuple(check_number(name, item) for item in value)
 
 
+def check_work_weight(value: Any) -> tuple[float, float] | None:
+    """Returns what work of actuation and of stiffness costs, see `WorldOptions`; None where it is not measured."""
+    if value is None:
+        return None
+    first, second = (value, value) if isinstance(value, Real) else check_pair("work_weight", value)
+    return check_number("work_weight", first, low=0), check_number("work_weight", second, low=0)
+
+
 def check_pair(name: str, value: Any) -> tuple[Any, Any]:
     """Returns a tuple of two."""
     if isinstance(value, str) or np.ndim(value) != 1 or len(value) != 2:
