@@ -13,6 +13,9 @@ import numpy as np
 # What several settings allow, for type checkers, the command line and the checks alike.
 Material = Literal["invariant", "reactive"]
 EdgeRule = Literal["mean_factor", "mean_stiffness"]
+# Of an episode, as infos and tables call it: what commands supplied, and less what came back.
+WORK = ("actuation_work", "stiffness_work", "net_actuation_work", "net_stiffness_work")
+WorkWeight = float | tuple[float, float] | None
 
 
 def check_fields(config: Any, bounds: Mapping[str, Mapping[str, Any]]) -> None:

@@ -5,13 +5,13 @@ from typing import Any
 
 import numpy as np
 
+from evogymcm._settings import WORK
 from evogymcm.envs import checks
 from evogymcm.envs.states import checked_arrays, checked_rngs
 from evogymcm.envs.task import Snapshot, Task
 
 UNSTABLE_PENALTY = -3.0
 _ONE = np.array(1)  # numpy takes arrays faster than Python's numbers
-WORK = ("actuation_work", "stiffness_work", "net_actuation_work", "net_stiffness_work")
 _ACCOUNTS = ("reward", "score", "returns", "length", "terminated", "truncated", "unstable", "reached")
 
 

@@ -7,6 +7,7 @@ from typing import Any, TypedDict, TypeVar, get_args
 
 import numpy as np
 
+from evogymcm._settings import WorkWeight
 from evogymcm.envs.dealing import MATERIALS
 from evogymcm.sim.constants import Physics
 
@@ -40,7 +41,7 @@ class WorldOptions(TypedDict, total=False):
     physics: Physics | Mapping[str, float] | None
     num_threads: int | None
     grid_shape: tuple[int, int] | None
-    work_weight: float | tuple[float, float] | None
+    work_weight: WorkWeight
 
 
 class EngineOptions(WorldOptions, total=False):
