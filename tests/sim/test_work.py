@@ -107,3 +107,32 @@ def test_motion_and_damping_take_what_commands_put_in():
     stored, motion = 0.5 * (ALPHA * springs_of(sim).constants * strain**2).sum(), 0.5 * (sim.velocities() ** 2).sum()
     assert damped + stored + motion == pytest.approx(supplied[2:].sum(), rel=1e-9)
     assert min(damped, motion, stored) > 0.01 * supplied[2]  # none of them is there by the way
+
+
+def test_stiffness_work_is_what_its_force_does_beyond_that_of_stiffness_one_but_for_damping_and_what_is_stored():
+    sim, rng = simulator(in_air(MIXED)), np.random.default_rng(2)
+    x, v = all_points(sim)
+    x = x + rng.uniform(-0.01, 0.01, x.shape)
+    place_points(sim, x, v, x)
+    springs, is_real = springs_of(sim), ~np.isnan(sim._scene(0).layout.rest)
+    before, supplied, beyond = ONES, np.zeros(4), 0.0
+
+    def lengths():
+        x = all_points(sim)[0]
+        return np.linalg.norm(x[springs.ends[:, 0]] - x[springs.ends[:, 1]], axis=1)
+
+    for _ in range(5):
+        stiffness = rng.uniform(0.5, 2, (1, 9))
+        supplied += sim.command_work((ONES, before), (ONES, stiffness))[0]
+        before = stiffness
+        for _ in range(20):
+            length = lengths()
+            sim.substeps(1, ONES, stiffness)
+            change, factor = lengths() - length, sim._springs(0)[1][is_real]
+            force = ALPHA * (length - springs.rest) * change + change**2 / 2  # at k = 1, its work along the way
+            damped = (1 - ALPHA) * change**2 / 2
+            beyond += ((factor - 1) * springs.constants * (damped - force)).sum()
+    stored = 0.5 * ALPHA * ((factor - 1) * springs.constants * (lengths() - springs.rest) ** 2).sum()
+    assert beyond == pytest.approx(supplied[3] - stored, rel=1e-9)
+    assert supplied[3] > 1.0
+    assert supplied[2] == 0
