@@ -6,6 +6,7 @@ __getattr__, __dir__, __all__ = door(
     __name__,
     {
         "search": ["FoundGaits", "GaitConfig", "search_gaits"],
+        "stored": ["SavedGaits", "load_gaits", "save_gaits"],
         "wave": ["Waves"],
     },
 )

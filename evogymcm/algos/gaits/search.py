@@ -1,8 +1,8 @@
-"""Search of gaits: the wave that drives each of several bodies furthest."""
+"""Search of gaits: the wave that brings each of several bodies furthest."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,25 +10,34 @@ from numpy.typing import NDArray
 from evogymcm._extras import load_cma
 from evogymcm._settings import check_fields
 from evogymcm.algos.gaits.wave import Waves
+from evogymcm.body import Body
 from evogymcm.envs.core import TaskEngine
 from evogymcm.envs.dealing import as_bodies
+from evogymcm.envs.options import WorldOptions
+from evogymcm.envs.tasks import as_task
 
-_BOUNDS: dict[str, dict[str, float]] = {"sigma": {"above": 0}, "seed": {"low": 0}, "early": {"low": 0, "high": 1}}
+_BOUNDS: dict[str, dict[str, float]] = {
+    "early": {"low": 0, "high": 1},
+    "sigma": {"above": 0},
+    "seed": {"low": 0},
+    "candidates": {"low": 2},
+}
+_WORST = -1e9  # for scores that are no numbers
 
 
 @dataclass(frozen=True)
 class GaitConfig:
-    """Settings of a search of gaits.
+    """Settings of a search of gaits. The defaults were found on random bodies in four tasks.
 
     Attributes:
-        env_steps: Env-steps for each design; the search ends before the generation that would exceed them.
+        env_steps: Env-steps for each design at most, counted as if no episode ended before its time.
         first: Gaits of the first generation, drawn at random.
-        candidates: Gaits of each later generation of a design's CMA-ES.
+        candidates: Gaits of each later generation, of a CMA-ES that begins at the best one so far.
         trial_steps: Env-steps of the early trials; None for whole episodes from the start.
-        early: Share of the env-steps that goes into early trials; after it gaits are played for whole episodes, the
-            last generation first.
-        sigma: Step of CMA-ES at the start, from the best of the first generation.
-        seed: Seed of the search and of the tasks' draws.
+        early: Share of the env-steps that early trials may take. After them gaits are played for whole episodes, the
+            best one so far among them.
+        sigma: First step of CMA-ES, where 1 is the spread of random gaits.
+        seed: Seed of the search, and of what tasks draw at resets.
 
     Raises:
         ValueError: A value is of the wrong kind or out of range.
@@ -44,59 +53,138 @@ class GaitConfig:
 
     def __post_init__(self) -> None:
         check_fields(self, _BOUNDS)
-        if self.candidates < 2:
-            raise ValueError(f"candidates: got {self.candidates}, at least 2 are needed")
 
 
 @dataclass(frozen=True)
 class FoundGaits:
-    """The best gait of each design.
+    """The best gait of each of D designs.
 
     Attributes:
-        waves: The gaits.
-        score: (D,) scores of their trials.
-        env_steps: (D,) env-steps simulated for each.
-        curve: Env-steps for each design so far (mean over designs) and (D,) best scores, after each generation.
+        waves: The gaits, to be used with `play` and `evaluate`.
+        score: (D,) their scores in the search: of whole episodes, unless it was stopped before there were any.
+        env_steps: (D,) env-steps simulated for each design.
+        curve: After each generation: env-steps simulated so far (mean over designs), the length of its trials, and
+            the (D,) best scores in trials of that length so far.
         finished: False if the search was stopped.
     """
 
     waves: Waves
     score: NDArray[np.float64]
     env_steps: NDArray[np.int64]
-    curve: list[tuple[float, NDArray[np.float64]]]
+    curve: list[tuple[float, int, NDArray[np.float64]]]
     finished: bool
 
 
-class _Design:
-    """The search for one design: random gaits, then CMA-ES around the best of them."""
+def search_gaits(
+    task: Any,
+    bodies: Any,
+    config: GaitConfig | None = None,
+    *,
+    progress: Callable[[int, NDArray[np.float64]], None] | None = None,
+    should_stop: Callable[[], bool] | None = None,
+    **options: Unpack[WorldOptions],
+) -> FoundGaits:
+    """Returns the best gait that a search finds for each body; needs the extra `evogymcm[cma]`.
 
-    def __init__(self, index: int, size: int, config: GaitConfig) -> None:
-        self.config = config
-        self.rng = np.random.default_rng([config.seed, index])
-        self.points = self.rng.standard_normal((config.first, size))
+    All bodies are simulated in one batch, but each design has a search of its own, whose result depends neither on the
+    others nor on the number of threads.
+
+    Args:
+        task: A task or its id.
+        bodies: A body or several, as `TaskEngine` takes them; D designs.
+        config: Settings of the search.
+        progress: Called after each generation with the env-steps of each design so far, of `config.env_steps`, and the
+            (D,) best scores.
+        should_stop: Called after each generation; if it returns True, the search ends.
+        **options: Of the worlds, such as material and stiffness, see `WorldOptions`.
+
+    Raises:
+        ValueError: As `TaskEngine`; or the env-steps are not enough for the first generation and a whole episode.
+        ImportError: The package cma is missing.
+    """
+    config, task, designs = config or GaitConfig(), as_task(task), as_bodies(bodies)
+    short, episode = trial_lengths(task, config)
+    size = Waves.size(options.get("material", "invariant"))
+    searches = [_Search(np.random.default_rng([config.seed, index]), size, config) for index in range(len(designs))]
+    used, planned, limit = np.zeros(len(designs), np.int64), 0, short
+    curve: list[tuple[float, int, NDArray[np.float64]]] = []
+    last_early = min(config.early * config.env_steps, config.env_steps - (config.candidates + 1) * episode)
+    finished = True
+    with _Worlds(task, designs, options) as worlds:
+        while True:
+            generation = config.candidates if curve else config.first
+            if curve and limit < episode and planned + generation * short > last_early:
+                limit, generation = episode, generation + 1
+                for search in searches:
+                    search.begin_anew()
+            if planned + generation * limit > config.env_steps:
+                break
+            points = np.array([search.ask() for search in searches])
+            scores, lengths = worlds.play(points, limit, config.seed + len(curve))
+            used, planned = used + lengths, planned + generation * limit
+            for search, row in zip(searches, scores, strict=True):
+                search.tell(row)
+            curve.append((float(used.mean()), limit, np.array([search.score for search in searches])))
+            if progress:
+                progress(planned, curve[-1][2])
+            if should_stop and should_stop():
+                finished = False
+                break
+    return FoundGaits(Waves([search.best for search in searches]), curve[-1][2], used, curve, finished)
+
+
+def trial_lengths(task: Any, config: GaitConfig) -> tuple[int, int]:
+    """Returns the env-steps of early trials and of whole episodes, for a search that can begin.
+
+    Args:
+        task: A task or its id.
+        config: Settings of the search.
+
+    Raises:
+        ValueError: The env-steps are not enough for the first generation and one of whole episodes.
+        ImportError: The package cma is missing.
+    """
+    load_cma()
+    episode = as_task(task).time_limit
+    short = episode if config.trial_steps is None else min(config.trial_steps, episode)
+    needed = config.first * short + (config.candidates + 1) * episode
+    if config.env_steps < needed:
+        what = f"{config.first} gaits for {short} env-steps and {config.candidates + 1} for {episode}"
+        raise ValueError(f"env_steps: got {config.env_steps}, at least {needed} are needed ({what})")
+    return short, episode
+
+
+class _Search:
+    """The search for one design: random gaits, then CMA-ES from the best of them."""
+
+    def __init__(self, rng: np.random.Generator, size: int, config: GaitConfig) -> None:
+        self.rng, self.config = rng, config
+        self.points = rng.standard_normal((config.first, size))
         self.optimizer: Any = None
-        self.pending: NDArray[np.float64] | None = None
         self.best, self.score = self.points[0], -np.inf
+        self._is_best_due = False
 
-    def begin_whole(self) -> None:
-        """Compares gaits by whole episodes from now on: scores of early trials say no more."""
-        self.score = -np.inf
-        self.pending = self.best
+    def begin_anew(self) -> None:
+        """Forgets scores, which are of shorter trials than those to come; the best gait will be played once more."""
+        self.score, self._is_best_due = -np.inf, True
 
     def ask(self) -> NDArray[np.float64]:
+        """Returns the gaits of the next generation, (candidates, size), with one more at the end where it is due."""
         if self.optimizer is not None:
             self.points = np.array(self.optimizer.ask())
-            if self.pending is not None:
-                self.points[0], self.pending = self.pending, None
+        if self._is_best_due:
+            self.points, self._is_best_due = np.vstack([self.points, self.best]), False
         return self.points
 
     def tell(self, scores: NDArray[np.float64]) -> None:
-        scores = np.where(np.isfinite(scores), scores, -1e9)
+        """Takes the scores of those gaits."""
+        scores = np.where(np.isfinite(scores), scores, _WORST)
         leader = int(scores.argmax())
         if scores[leader] > self.score:
             self.best, self.score = self.points[leader].copy(), float(scores[leader])
         if self.optimizer is not None:
-            self.optimizer.tell(list(self.points), (-scores).tolist())  # it minimises
+            own = slice(self.config.candidates)
+            self.optimizer.tell(list(self.points[own]), (-scores[own]).tolist())  # it minimises
             return
         options = {
             "popsize": self.config.candidates,
@@ -107,108 +195,44 @@ class _Design:
         self.optimizer = load_cma().CMAEvolutionStrategy(self.best, self.config.sigma, options)
 
 
-def search_gaits(
-    task: Any,
-    bodies: Any,
-    config: GaitConfig | None = None,
-    *,
-    progress: Callable[[float, NDArray[np.float64]], None] | None = None,
-    should_stop: Callable[[], bool] | None = None,
-    **options: Any,
-) -> FoundGaits:
-    """Returns the best gait that a search finds for each body, all bodies in one batch.
+class _Worlds:
+    """Worlds of D designs, as many of each as a generation has gaits."""
 
-    Each design has a search of its own, whose result depends neither on the others nor on the number of threads. Needs
-    the extra `evogymcm[cma]`.
+    def __init__(self, task: Any, designs: list[Body], options: WorldOptions) -> None:
+        self._task, self._designs, self._options = task, designs, options
+        self._engine: TaskEngine | None = None
 
-    Args:
-        task: A task or its id.
-        bodies: A body or several, as `TaskEngine` takes them.
-        config: Settings.
-        progress: Called after each generation with the env-steps for each design and the (D,) best scores so far.
-        should_stop: Called after each generation; if it returns True, the search ends.
-        **options: Of the worlds: material, stiffness, edge_rule, physics, num_threads, see `EngineOptions`.
-
-    Raises:
-        ValueError: As `TaskEngine`, or the budget is below a first generation.
-    """
-    load_cma()
-    config = config or GaitConfig()
-    designs = as_bodies(bodies)
-    n, material = len(designs), options.get("material", "invariant")
-    searches = [_Design(index, Waves.size(material), config) for index in range(n)]
-    used = np.zeros(n, np.int64)
-    curve: list[tuple[float, NDArray[np.float64]]] = []
-    finished, is_early, engines = True, config.trial_steps is not None, _Stages(task, designs, options)
-    try:
-        while True:
-            limit = config.trial_steps if used.max() < config.early * config.env_steps else None
-            if limit is None and is_early:
-                is_early = False
-                for search in searches:
-                    search.begin_whole()
-            points = [search.ask() for search in searches]
-            cost = len(points[0]) * engines.steps(limit)
-            if used.max() + cost > config.env_steps:
-                if not curve:
-                    raise ValueError(
-                        f"env_steps: got {config.env_steps}, a first generation of {config.first} takes {cost}"
-                    )
-                break
-            scores, lengths = engines.play(np.array(points), limit, config.seed + len(curve))
-            used += lengths
-            for search, row in zip(searches, scores, strict=True):
-                search.tell(row)
-            best = np.array([search.score for search in searches])
-            curve.append((float(used.mean()), best))
-            if progress:
-                progress(*curve[-1])
-            if should_stop and should_stop():
-                finished = False
-                break
-    finally:
-        engines.close()
-    return FoundGaits(Waves([search.best for search in searches]), best, used, curve, finished)
-
-
-class _Stages:
-    """Worlds of the designs: one engine for each number of candidates."""
-
-    def __init__(self, task: Any, designs: Sequence[Any], options: dict[str, Any]) -> None:
-        self.task, self.designs, self.options = task, designs, options
-        self.engine: TaskEngine | None = None
-
-    def _with(self, worlds: int) -> TaskEngine:
-        if self.engine is None or self.engine.num_worlds != worlds:
-            self.close()
-            self.engine = TaskEngine(
-                self.task, self.designs, worlds, with_voxels=False, with_flat=False, **self.options
-            )
-        return self.engine
-
-    def steps(self, limit: int | None) -> int:
-        """Env-steps of a trial at most."""
-        most = self._with(len(self.designs) if self.engine is None else self.engine.num_worlds).task.time_limit
-        return most if limit is None else min(limit, most)
-
-    def play(self, points: NDArray[np.float64], limit: int | None, seed: int) -> tuple[NDArray, NDArray]:
-        """Plays (D, C, P) gaits; returns their scores, (D, C), and the env-steps of each design, (D,)."""
+    def play(self, points: NDArray[np.float64], limit: int, seed: int) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+        """Plays (D, C, size) gaits; returns their scores, (D, C), and the env-steps of each design, (D,)."""
         n, count, size = points.shape
         engine = self._with(n * count)
-        engine.set_seed([seed] * engine.num_worlds)
+        engine.set_seed([seed] * engine.num_worlds)  # one generation's gaits meet the same
         engine.reset()
-        gait = Waves(points.swapaxes(0, 1).reshape(-1, size))  # candidate by candidate, each of all designs
+        gait = Waves(points.swapaxes(0, 1).reshape(-1, size))  # gait by gait, each of all designs
         running = np.ones(engine.num_worlds, bool)
-        for _ in range(self.steps(limit)):
+        for _ in range(limit):
             engine.step(*gait(engine), mask=None if running.all() else running)
             running &= ~(engine.terminated | engine.truncated)
             if not running.any():
                 break
-        scores, lengths = engine.score.reshape(count, n).T, engine.length.reshape(count, n).T
-        return scores.copy(), lengths.sum(1)
+        score, length = engine.score.reshape(count, n), engine.length.reshape(count, n)
+        return score.T.copy(), length.sum(0)
 
-    def close(self) -> None:
-        """Closes the worlds."""
-        if self.engine is not None:
-            self.engine.close()
-            self.engine = None
+    def _with(self, worlds: int) -> TaskEngine:
+        if self._engine is None or self._engine.num_worlds != worlds:
+            self._close()
+            self._engine = TaskEngine(
+                self._task, self._designs, worlds, with_voxels=False, with_flat=False, **self._options
+            )
+        return self._engine
+
+    def _close(self) -> None:
+        if self._engine is not None:
+            self._engine.close()
+            self._engine = None
+
+    def __enter__(self) -> "_Worlds":
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self._close()
