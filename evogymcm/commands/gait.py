@@ -9,7 +9,7 @@ import tyro
 from tyro.conf import arg
 
 from evogymcm._settings import EdgeRule, Material
-from evogymcm.algos.gaits.search import GaitConfig
+from evogymcm.algos.gaits.config import GaitConfig
 from evogymcm.algos.learning.bodies import default_body
 from evogymcm.commands._options import INTERRUPTED, Bar, checking_arguments, choose_task, read_stiffness
 

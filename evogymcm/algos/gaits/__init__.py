@@ -5,7 +5,8 @@ from evogymcm._doors import door
 __getattr__, __dir__, __all__ = door(
     __name__,
     {
-        "search": ["FoundGaits", "GaitConfig", "search_gaits"],
+        "config": ["GaitConfig"],
+        "search": ["FoundGaits", "search_gaits"],
         "stored": ["SavedGaits", "load_gaits", "save_gaits"],
         "wave": ["Waves"],
     },

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evogymcm._extras import load_cma
-from evogymcm._settings import check_fields
+from evogymcm.algos.gaits.config import GaitConfig
 from evogymcm.algos.gaits.wave import Waves
 from evogymcm.body import Body
 from evogymcm.envs.core import TaskEngine
@@ -16,43 +16,7 @@ from evogymcm.envs.dealing import as_bodies
 from evogymcm.envs.options import WorldOptions
 from evogymcm.envs.tasks import as_task
 
-_BOUNDS: dict[str, dict[str, float]] = {
-    "early": {"low": 0, "high": 1},
-    "sigma": {"above": 0},
-    "seed": {"low": 0},
-    "candidates": {"low": 2},
-}
 _WORST = -1e9  # for scores that are no numbers
-
-
-@dataclass(frozen=True)
-class GaitConfig:
-    """Settings of a search of gaits. The defaults were found on random bodies in four tasks.
-
-    Attributes:
-        env_steps: Env-steps for each design at most, counted as if no episode ended before its time.
-        first: Gaits of the first generation, drawn at random.
-        candidates: Gaits of each later generation, of a CMA-ES that begins at the best one so far.
-        trial_steps: Env-steps of the early trials; None for whole episodes from the start.
-        early: Share of the env-steps that early trials may take. After them gaits are played for whole episodes, the
-            best one so far among them.
-        sigma: First step of CMA-ES, where 1 is the spread of random gaits.
-        seed: Seed of the search, and of what tasks draw at resets.
-
-    Raises:
-        ValueError: A value is of the wrong kind or out of range.
-    """
-
-    env_steps: int = 50_000
-    first: int = 32
-    candidates: int = 8
-    trial_steps: int | None = 150
-    early: float = 0.5
-    sigma: float = 0.5
-    seed: int = 0
-
-    def __post_init__(self) -> None:
-        check_fields(self, _BOUNDS)
 
 
 @dataclass(frozen=True)

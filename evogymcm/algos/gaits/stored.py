@@ -106,4 +106,4 @@ def load_gaits(path: str | os.PathLike[str]) -> SavedGaits:
         stiffness = None if fields is None else tuple(np.array(field, np.float64) for field in fields)
         return SavedGaits(told["task"], bodies, waves.material, stiffness, told["edge_rule"], waves, score)
     except (ValueError, KeyError, TypeError, UnicodeDecodeError) as error:
-        raise ValueError(f"gaits: {path} holds none: {error}") from error
+        raise ValueError(f"gaits: {path} cannot be read as gaits: {error!r}") from error
