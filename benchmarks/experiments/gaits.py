@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing
 from dataclasses import asdict, dataclass, field, replace
 from math import inf
 from pathlib import Path
@@ -16,13 +17,14 @@ from benchmarks.experiments.experiment import Comparison, Record, Tell
 from benchmarks.experiments.paper import FIXED_ARMS, PAPER
 from benchmarks.experiments.tables import table
 from evogymcm import robots
+from evogymcm._extras import load_cma
 from evogymcm.algos.analysis import summarise
 from evogymcm.algos.gaits import GaitConfig, Waves, search_gaits
-from evogymcm.algos.learning import evaluate
+from evogymcm.algos.learning import evaluate, play
 from evogymcm.algos.learning.bodies import N_HELD_OUT, held_out_bodies
 from evogymcm.algos.learning.config import Material
 from evogymcm.algos.runs import RunFolder, find_origin
-from evogymcm.envs import TaskEngine
+from evogymcm.envs import TaskEngine, sine_gait
 
 SHAPE, HELD_OUT_TASK = (5, 5), "Walker-v0"
 _RESULT = "result.json"
@@ -229,6 +231,7 @@ class GaitJob:
         """Returns what is to be told of one search; None where it was stopped."""
         material: Material = FIXED_ARMS[self.arm]
         options: Any = {"material": material, "num_threads": 1}
+        self._warm_up(options)
         seconds: list[float] = []
         begin = time.process_time()  # with one thread: the wall time on an idle core
 
@@ -240,12 +243,8 @@ class GaitJob:
         found = search_gaits(self.task, list(self.bodies), config, **hooks, **options)
         if not found.finished:
             return None
-        worlds = _STARTS * len(self.bodies)
-        engine = TaskEngine(self.task, list(self.bodies), worlds, with_voxels=False, with_flat=False, **options)
-        try:
+        with closing(self._worlds(options)) as engine:
             played = evaluate(found.waves, engine, _STARTS)
-        finally:
-            engine.close()
         return {
             "budget": config.env_steps,
             "env_steps": int(found.env_steps.sum()),
@@ -254,6 +253,18 @@ class GaitJob:
             "robust": played.robust.tolist(),
             "curve": _changes(found.curve, seconds) if len(self.bodies) == 1 else [],
         }
+
+    def _warm_up(self, options: Any) -> None:
+        """Loads all that a search of this process would load first: it is no part of its seconds."""
+        load_cma()
+        with closing(self._worlds(options)) as engine:
+            for _ in play(sine_gait, engine, steps=1):
+                pass
+
+    def _worlds(self, options: Any) -> TaskEngine:
+        """Returns worlds in which gaits are scored from all starts."""
+        bodies = list(self.bodies)
+        return TaskEngine(self.task, bodies, _STARTS * len(bodies), with_voxels=False, with_flat=False, **options)
 
 
 def _changes(curve: Sequence[tuple[float, int, NDArray[np.float64]]], seconds: Sequence[float]) -> list[list[float]]:
