@@ -228,7 +228,7 @@ class BodiesParallelEnv(Adapter, Rendered, ParallelEnv[str, Observation, Action]
         """Returns one action entry of all worlds, 1 in those that have ended."""
         try:
             values = np.array([self._part(actions[agent], head) for agent in live], np.float64)
-        except (IndexError, KeyError, TypeError, ValueError):
+        except (IndexError, KeyError, TypeError, ValueError, OverflowError):
             values = np.empty(0)
         if values.shape != (len(live), self.n_cells):
             self._blame(head, live, actions)
@@ -259,7 +259,7 @@ class BodiesParallelEnv(Adapter, Rendered, ParallelEnv[str, Observation, Action]
                 value = action[head]
             try:
                 shape = np.asarray(value, np.float64).shape
-            except (TypeError, ValueError):
+            except (TypeError, ValueError, OverflowError):
                 raise ValueError(f"{what}: got {brief(value)}, expected numbers") from None
             if shape != (size,):
                 raise ValueError(f"{what}: got shape {shape}, expected {wanted} = ({size},)")

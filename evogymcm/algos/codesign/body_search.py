@@ -8,7 +8,7 @@ from typing import Any, Required, TypedDict
 import numpy as np
 from numpy.typing import ArrayLike
 
-from evogymcm._settings import check_count, check_number, check_pair
+from evogymcm._settings import check_array, check_count, check_number, check_pair
 from evogymcm.algos.codesign.design import Design, Individual, mutate_design
 from evogymcm.body import H_ACT, SAMPLE_WEIGHTS, V_ACT, check_weights, sample_body
 
@@ -179,8 +179,8 @@ class DesignSearch(ABC):
         if fitness is not None:
             individual = replace(individual, fitness=check_number("fitness", fitness))
         if stiffness is not None:
-            field = np.asarray(stiffness, dtype=np.float64)
-            individual = replace(individual, design=Design(individual.design.body, field))
+            design = Design(individual.design.body, check_array("stiffness", stiffness))
+            individual = replace(individual, design=design)
         self._population[place] = individual
 
     def state_dict(self) -> dict[str, Any]:

@@ -6,7 +6,7 @@ from typing import Any, Unpack
 import numpy as np
 from numpy.typing import ArrayLike
 
-from evogymcm._settings import check_count
+from evogymcm._settings import check_array, check_count
 from evogymcm.algos.codesign.body_search import BodySearchOptions, DesignSearch
 from evogymcm.algos.codesign.design import Individual
 
@@ -111,7 +111,7 @@ class GeneticAlgorithm(DesignSearch):
         """
         if not self._mutants:
             raise RuntimeError("choose: mutants must be asked for first")
-        values = np.asarray(scores, dtype=np.float64)
+        values = check_array("scores", scores)
         expected = (len(self._mutants), len(self._mutants[0]))
         if values.shape != expected or not np.isfinite(values).all():
             got = f"shape {values.shape}" if values.shape != expected else "some that are not finite"
