@@ -1,7 +1,9 @@
 """The six constructors take one list of options: the same names in the same order, with one default and one meaning."""
 
+import importlib.util
 import inspect
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -59,6 +61,17 @@ def test_each_option_is_described_once():
     assert list(EngineOptions.__annotations__) == list(LIST)
     described = re.findall(r"^ {8}(\w+): ", WorldOptions.__doc__ + EngineOptions.__doc__, re.MULTILINE)
     assert described == list(LIST)
+
+
+def test_the_documentations_table_is_the_list_of_all_constructors():
+    docs = Path(__file__).resolve().parents[2] / "docs"
+    spec = importlib.util.spec_from_file_location("option_table", docs / "option_table.py")
+    page = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(page)
+    assert set(page.CONSTRUCTORS.values()) == set(CONSTRUCTORS)
+    assert f"{page.BEGIN}\n{page.table()}\n{page.END}" in page.PAGE.read_text(), "python docs/option_table.py --write"
+    rows = re.findall(r"^\| `(\w+)` \| `(.*?)` \| .{20,} \|$", page.table(), re.MULTILINE)
+    assert dict(rows) == {name: repr(default) for name, default in LIST.items()}
 
 
 @pytest.mark.parametrize("constructor", CONSTRUCTORS)
