@@ -108,8 +108,13 @@ def check_pair(name: str, value: Any) -> tuple[Any, Any]:
 
 def _length(value: Any) -> int | None:
     """Returns how long a sequence of single values is, None for everything else."""
-    is_sequence = isinstance(value, list | tuple | np.ndarray) and np.ndim(np.asarray(value, object)) == 1
-    return len(value) if is_sequence else None
+    if isinstance(value, str | bytes):
+        return None
+    try:
+        items = np.asarray(value, object)
+    except ValueError:  # arrays of unlike shapes
+        return None
+    return len(items) if items.ndim == 1 else None
 
 
 def _is_finite(value: Any) -> bool:

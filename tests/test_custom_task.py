@@ -71,3 +71,7 @@ def test_physics_is_checked():
         Physics(substep=0.0)
     with pytest.raises(ValueError, match="gravity"):
         Physics(gravity=float("nan"))
+    for value in (None, "strong", True, 1j, 10**400):
+        with pytest.raises(ValueError, match=r"physics drag: got .*, expected a finite number at least 0"):
+            Physics(drag=value)
+    assert Physics(gravity=-3).gravity == -3.0

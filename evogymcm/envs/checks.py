@@ -171,7 +171,9 @@ def checked_seeds(seed: int | Sequence[int | None] | None, n: int) -> Sequence[i
     """Returns a seed for each world, one number counted up from; ValueError for another number of seeds."""
     if seed is None:
         return [None] * n
-    if not isinstance(seed, Sequence | np.ndarray) or isinstance(seed, str | bytes) or np.ndim(seed) == 0:
+    if isinstance(seed, str | bytes) or not (
+        isinstance(seed, Sequence) or (isinstance(seed, np.ndarray) and seed.ndim)
+    ):
         first = check_count("seed", seed, 0)
         return [first + world for world in range(n)]
     if len(seed) != n:

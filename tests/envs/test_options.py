@@ -107,7 +107,10 @@ def test_options_mean_the_same_everywhere(constructor):
         ({"stiffness": np.ones((3, 2))}, r"\(3, 2\).*\(2, 3\)"),
         ({"stiffness": np.ones((2, 3)), "material": "reactive"}, "reactive.*action"),
         ({"physics": {"mass": 1.0}}, r"physics: got \['mass'\], known are.*gravity"),
+        ({"physics": 1.0}, r"physics: got 1\.0, expected Physics"),
         ({"num_threads": 0}, "num_threads: got 0"),
+        ({"num_threads": True}, "num_threads: got True, expected a whole number"),
+        ({"num_threads": []}, r"num_threads: got \[\], expected a whole number"),
         ({"grid_shape": (2, 2)}, r"grid_shape: got \(2, 2\), at least \(2, 3\)"),
     ],
 )
@@ -119,6 +122,47 @@ def test_bad_options_are_named(constructor, arguments, message):
 
 def goals(made):
     return engine_of(made).memory["goals"].tolist()
+
+
+@pytest.mark.parametrize("seed", [2.5, -1, "7", {}, [2.5], [None, 1j], [0] * 3, True])
+@pytest.mark.parametrize("constructor", SEEDED)
+def test_bad_seeds_are_named(constructor, seed):
+    with pytest.raises(ValueError, match="seed: got "):
+        make(constructor, body=[SMALL, SMALL], seed=seed)
+
+
+@pytest.mark.parametrize("number", [0, -1, 2.5, True, [], "2"])
+@pytest.mark.parametrize(
+    ("constructor", "name"),
+    [
+        (TaskEngine, "num_worlds"),
+        (SoftRobotEnv, "num_worlds"),
+        (PopulationEnv, "copies"),
+        (PopulationEnv, "num_bodies"),
+        (GymnasiumVectorEnv, "num_envs"),
+    ],
+)
+def test_bad_counts_are_named(constructor, name, number):
+    with pytest.raises(ValueError, match=f"{name}: got "):
+        make(constructor, **{name: number})
+
+
+def test_more_threads_than_worlds_cost_nothing():
+    engine = make(TaskEngine, body=[SMALL, SMALL], num_threads=10**9)
+    engine.step(np.ones((2, 6)))
+    assert engine.length.tolist() == [1, 1]
+
+
+@pytest.mark.parametrize("junk", [None, {}, 1j, "ones", [10**400], [[1.0], [1.0, 2.0]], b"1"])
+def test_steps_and_states_that_are_no_numbers_are_named(junk):
+    engine, vector = make(TaskEngine), make(GymnasiumVectorEnv)
+    with pytest.raises(ValueError, match="actuation: got"):
+        engine.step(junk)
+    with pytest.raises(ValueError, match="action: got"):
+        vector.step(junk)
+    if not isinstance(junk, dict):
+        with pytest.raises(ValueError, match="state: got"):
+            engine.set_state(junk)
 
 
 def test_seeds_decide_what_is_drawn_and_zero_is_the_default():

@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from evogymcm.algos import PPOConfig, Trainer
-from tests.algos.toy_env import SMALL, WIDE, ToyEnv, ToyTask
 from tests.algos.tools import through_torch
+from tests.algos.toy_env import SMALL, WIDE, ToyEnv, ToyTask
 
 TINY = PPOConfig(total_steps=96, num_worlds=4, rollout_steps=6, epochs=1, minibatch=12, hidden=4, eval_interval=0)
 
