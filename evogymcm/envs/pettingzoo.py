@@ -91,6 +91,7 @@ class BodiesParallelEnv(Adapter, Rendered, ParallelEnv[str, Observation, Action]
         self.np_random = np.random.default_rng(checks.checked_seeds(seed, len(designs))[0])
         self._build(task, designs)
         self._make_spaces()
+        self.engine.set_seed(seed)  # the first reset begins with it too
 
     def _build(self, task: str | Task, designs: Sequence[Body], **changed: Unpack[EngineOptions]) -> None:
         """Makes the engine for these designs, and what draws it."""

@@ -75,7 +75,7 @@ class PopulationEnv(Adapter, EnvBase):
         designs = bodies if is_source(bodies) else as_bodies(bodies)
         if isinstance(designs, list):
             number = len(designs)
-            if num_bodies is not None and num_bodies != number:
+            if num_bodies is not None and check_count("num_bodies", num_bodies) != number:
                 raise ValueError(f"num_bodies: got {brief(num_bodies)}, allowed is {number}, the number of bodies")
         else:
             number = check_count("num_bodies (needed under a stream)", num_bodies)

@@ -64,7 +64,8 @@ def check_env(make_env: EnvFactory, *, num_worlds: int | None = None, steps: int
                 resumed.load_state_dict(_through_file(env.state_dict()))
                 others["an environment that goes on from a saved state"] = resumed, shown.clone()
             action = actions.draw()
-            shown = check.step(*env.step_and_maybe_reset(shown.update({"action": action.clone()})), step)
+            stepped, root = env.step_and_maybe_reset(shown.update({"action": action.clone()}))
+            shown = check.step(stepped, root, step)
             for what, (other, root) in others.items():
                 _, root = other.step_and_maybe_reset(root.update({"action": action.clone()}))
                 check.compare(what, root, step)
@@ -147,9 +148,9 @@ class _Checked:
         for head in heads:
             spec = action["action", head]
             self._check_shape(f"action_spec: {head!r}", spec.shape, (self.n, self._v))
-            bounds = (getattr(spec.space, "low", None), getattr(spec.space, "high", None))
-            is_range = all(isinstance(b, torch.Tensor) and bool((b.abs() < _UNBOUNDED).all()) for b in bounds)
-            if not is_range or not bool((bounds[0] < bounds[1]).all()):
+            nothing = torch.zeros(())
+            low, high = (getattr(spec.space, name, nothing) for name in ("low", "high"))
+            if not bool(((low < high) & (low.abs() < _UNBOUNDED) & (high.abs() < _UNBOUNDED)).all()):
                 self.fail(f"action_spec: {head!r}", "expected a Bounded spec, whose low is below its high")
         known = set(env.observation_spec.keys())
         needed = {"task", *_PER_VOXEL, *_SUMS, *_PER_WORLD}

@@ -12,8 +12,9 @@ from evogymcm.algos.codesign.body_search import DesignSearch
 from evogymcm.algos.codesign.design import Design, Individual
 from evogymcm.testing._generators import global_generators
 
-_NEEDED = ("ask", "tell", "update", "state_dict", "load_state_dict", "population", "survivors", "parents")
-_NEEDED += ("is_finished", "n_designs", "generation", "budget", "shape", "carries_stiffness")
+_METHODS = ("ask", "tell", "update", "state_dict", "load_state_dict")
+_SHOWN = ("population", "survivors", "parents", "is_finished", "n_designs", "generation")
+_GIVEN = ("budget", "shape", "carries_stiffness")
 
 
 def check_body_search(make: Callable[[], DesignSearch], *, generations: int = 20, seed: int = 0) -> None:
@@ -39,7 +40,7 @@ def check_body_search(make: Callable[[], DesignSearch], *, generations: int = 20
     before = global_generators()
     search = make()
     _check(search is not make(), search, "make", "it returned the same search again, expected a fresh one")
-    missing = [name for name in _NEEDED if not hasattr(search, name)]
+    missing = [name for name in _METHODS + _SHOWN + _GIVEN if not hasattr(search, name)]
     _check(not missing, search, "attributes", f"it has no {', '.join(missing)}; see DesignSearch")
     _Run(make, search, np.random.default_rng(seed)).to_the_end(generations)
     _check(before == global_generators(), search, "draws", "it uses a global generator; draw from one of its own")
@@ -96,8 +97,7 @@ class _Run:
 
     def _compare(self, where: str) -> None:
         """Checks that all searches that follow are where the first one is."""
-        names = ("generation", "n_designs", "is_finished", "population", "survivors", "parents", "state_dict")
-        shown = {name: _record(getattr(self._search, name)) for name in names}
+        shown = {name: _record(getattr(self._search, name)) for name in (*_SHOWN, "state_dict")}
         for what, other in self._others.items():
             for name, expected in shown.items():
                 got = _record(getattr(other, name))

@@ -129,13 +129,20 @@ class DesignSearch(ABC):
         """Returns the individuals to be trained now, all of them new; the same ones until their fitness is told.
 
         Raises:
-            RuntimeError: The budget is used, or hardly any new body of this shape is left.
+            RuntimeError: The budget is used, or hardly any new body of this shape is left. There is no new individual
+                then.
         """
         if self.is_finished:
             raise RuntimeError(f"ask: the budget of {self.budget} bodies is used")
         if not self._pending:
+            kept = list(self._population), set(self._seen), self.n_designs
             self._population = self.population
-            self._propose()
+            try:
+                self._propose()
+            except RuntimeError:
+                self._population, self._seen, self.n_designs = kept
+                self._pending = []
+                raise
         return [individual for individual in self._population if individual.index in self._pending]
 
     def tell(self, fitness: Mapping[int, float]) -> None:

@@ -90,7 +90,7 @@ class GeneticAlgorithm(DesignSearch):
             waiting = f", {len(self._mutants[0])} are waiting" if self._mutants else ""
             raise ValueError(f"count: got {count}, expected at least 1{waiting}")
         if not self._mutants:
-            parents, taken = self.survivors, set[str]()
+            parents, taken, groups = self.survivors, set[str](), list[list[Individual]]()
             n_children = min(self.population_size - len(parents), self.budget - self.n_designs)
             for index in range(self.n_designs, self.n_designs + n_children):
                 parent = parents[self._rng.integers(len(parents))]
@@ -99,7 +99,8 @@ class GeneticAlgorithm(DesignSearch):
                     design, _ = self._new(lambda: self._mutant([parent]), taken)  # noqa: B023 - called at once
                     taken.add(design.key)
                     group.append(Individual(index, design, parent.index, self.generation))
-                self._mutants.append(group)
+                groups.append(group)
+            self._mutants = groups  # all of them, or none where bodies run out
         return [list(group) for group in self._mutants]
 
     def choose(self, scores: ArrayLike) -> None:
