@@ -118,5 +118,8 @@ def _length(value: Any) -> int | None:
 
 
 def _is_finite(value: Any) -> bool:
-    """Whether it is a finite number; True and False are none."""
-    return isinstance(value, Real) and not isinstance(value, bool) and math.isfinite(value)
+    """Whether it is a finite number, as floats have them; True and False are none."""
+    try:
+        return isinstance(value, Real) and not isinstance(value, bool) and math.isfinite(value)
+    except OverflowError:
+        return False

@@ -89,7 +89,7 @@ def test_picture_without_size_fits_its_objects():
         ("object box at 0 0", "with 0 rows"),
         ("object box at 0 0 is rigid_1x1\nFFF", "with 1 rows"),
         ("object box at 0 0 is rigid", "rigid_1x1"),
-        ("object box at -1 0\nFFF", "counted from 0"),
+        ("object box at -1 0\nFFF", "origin: got -1"),
         ("FXF", "allowed characters"),
         ("FFF\nFF", "lengths"),
         ("...", "no voxel"),
@@ -147,7 +147,7 @@ def test_objects_are_immutable_values():
         (("", [[1]], (0, 0)), "name"),
         (("a", [[6]], (0, 0)), "codes"),
         (("a", [[0]], (0, 0)), "no voxel"),
-        (("a", [[1]], (0, -1)), "counted from 0"),
+        (("a", [[1]], (0, -1)), "origin: got -1"),
         (("a", [[1, 1]], (0, 0), [[0], [2]]), "connections"),
     ],
 )
