@@ -91,5 +91,12 @@ def main(settings: Settings) -> list[float]:
     return rewards
 
 
+def check() -> None:
+    """Runs a small version, for the tests; raises AssertionError where it goes wrong."""
+    rewards = main(Settings(bodies=3, rollout_steps=8, updates=2))
+    assert len(rewards) == 2
+    assert all(0.0 < abs(reward) < 0.1 for reward in rewards)
+
+
 if __name__ == "__main__":
     main(tyro.cli(Settings))

@@ -9,6 +9,7 @@ from typing import Any, Unpack
 
 import numpy as np
 
+from evogymcm._messages import brief
 from evogymcm._settings import check_work_weight
 from evogymcm.body import Body
 from evogymcm.envs import checks
@@ -270,6 +271,8 @@ class TaskEngine(Observed, Episodes):
         Raises:
             ValueError: It belongs to another engine; then nothing has changed.
         """
+        if not isinstance(state, Mapping):
+            raise ValueError(f"state: got {brief(state)}, expected what `state()` has returned")
         checked = self._checked(state)
         checked |= checked_arrays(state, {"actuation": self.actuation, "stiffness": self.stiffness})
         shown, stream, robots = checked_arrays(state, self.memory, "shown"), self._stream, None

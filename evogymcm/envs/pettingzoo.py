@@ -92,6 +92,7 @@ class BodiesParallelEnv(Adapter, Rendered, ParallelEnv[str, Observation, Action]
         self.np_random = np.random.default_rng(checks.checked_seeds(seed, len(designs))[0])
         self._build(task, designs)
         self._make_spaces()
+        self.engine.set_seed(seed)  # the first reset begins with it too
 
     def _build(self, task: str | Task, designs: Sequence[Body], **changed: Unpack[EngineOptions]) -> None:
         """Makes the engine for these designs, and what draws it."""
@@ -230,7 +231,7 @@ class BodiesParallelEnv(Adapter, Rendered, ParallelEnv[str, Observation, Action]
         """Returns one action entry of all worlds, 1 in those that have ended."""
         try:
             values = np.array([self._part(actions[agent], head) for agent in live], np.float64)
-        except (IndexError, KeyError, TypeError, ValueError):
+        except (IndexError, KeyError, TypeError, ValueError, OverflowError):
             values = np.empty(0)
         if values.shape != (len(live), self.n_cells):
             self._blame(head, live, actions)
@@ -261,7 +262,7 @@ class BodiesParallelEnv(Adapter, Rendered, ParallelEnv[str, Observation, Action]
                 value = action[head]
             try:
                 shape = np.asarray(value, np.float64).shape
-            except (TypeError, ValueError):
+            except (TypeError, ValueError, OverflowError):
                 raise ValueError(f"{what}: got {brief(value)}, expected numbers") from None
             if shape != (size,):
                 raise ValueError(f"{what}: got shape {shape}, expected {wanted} = ({size},)")
