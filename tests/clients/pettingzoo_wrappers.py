@@ -1,6 +1,6 @@
 # /// script
 # requires-python = ">=3.11"
-# dependencies = ["evogymcm"]
+# dependencies = ["evogymcm[sb3]", "supersuit"]
 # ///
 """PettingZoo: its tests, conversions and wrappers, on a population whose bodies end one by one."""
 
