@@ -3,8 +3,8 @@
     python tests/clients/run.py [NAME ...] [--keep]
 
 A script begins with what it needs (https://packaging.python.org/en/latest/specifications/inline-script-metadata); of
-evogymcm it gets this checkout. Its recipe is the section of docs/other-libraries.md that names it. Prints a table, and
-exits with 1 where one has failed. Needs the standard library only.
+evogymcm it gets this checkout. Its recipe is the section of docs/other-libraries.md that names it. Prints a table,
+says on the other stream what failed, and exits with 1 then. Needs the standard library only.
 """
 
 import argparse
@@ -90,7 +90,7 @@ def try_out(path, python):
         is_done, said = run([python, *command], cwd=outside, env=environment, timeout=LIMIT)
         results.append("passed" if is_done else "FAILED")
         if not is_done:
-            print(f"\n{path.stem}, {command[0].stem}:\n{said}\n", flush=True)
+            print(f"{path.stem}, {command[0].stem}:\n{said}\n", file=sys.stderr, flush=True)
     shutil.rmtree(outside)
     return (*results, f"{time.monotonic() - begin:.0f}")
 
@@ -106,24 +106,22 @@ def main():
     if unknown:
         parser.error(f"there are no {sorted(unknown)}, but {list(found)}")
     chosen = sorted((found[name] for name in options.names or found), key=requirements)
-    rows = []
+    is_fine = True
+    print("| client | with | script | recipe | seconds |\n| --- | --- | --- | --- | --- |", flush=True)
     for needs, paths in itertools.groupby(chosen, requirements):
-        paths = list(paths)
-        folder = FOLDER / paths[0].stem
+        members = list(paths)
+        folder = FOLDER / members[0].stem
         python, trouble = make_environment(folder, needs)
         versions = run([python, "-c", VERSIONS, *distributions(needs), *ALSO])[1]
-        for path in paths:
-            if trouble:
-                print(f"\n{path.stem}: pip\n{trouble}\n", flush=True)
-                rows.append((path.stem, "", "NOT INSTALLED", "", ""))
-            else:
-                rows.append((path.stem, versions, *try_out(path, python)))
+        if trouble:
+            print(f"{', '.join(needs)}: pip\n{trouble}\n", file=sys.stderr, flush=True)
+        for path in members:
+            row = ("", "NOT INSTALLED", "", "") if trouble else (versions, *try_out(path, python))
+            print(f"| {path.stem} | {' | '.join(row)} |", flush=True)
+            is_fine &= row[1:3] == ("passed", "passed")
         if not options.keep:
             shutil.rmtree(folder)
-    print("| client | with | script | recipe | seconds |\n| --- | --- | --- | --- | --- |")
-    for row in rows:
-        print(f"| {' | '.join(row)} |")
-    sys.exit(any(row[2:4] != ("passed", "passed") for row in rows))
+    sys.exit(not is_fine)
 
 
 if __name__ == "__main__":
