@@ -74,7 +74,7 @@ def make_environment(folder, needs):
     subprocess.run([sys.executable, "-m", "venv", "--clear", folder], check=True)
     python = folder / "bin" / "python"
     own = [re.sub(r"^evogymcm(\[.*\])?", rf"evogymcm\1 @ {ROOT.as_uri()}", need) for need in needs]
-    install = [python, "-m", "pip", "install", "--quiet", "--disable-pip-version-check"]
+    install = [python, "-m", "pip", "install", "--progress-bar", "off", "--disable-pip-version-check"]
     is_done, said = run([*install, "--constraint", ROOT / "constraints-ci.txt", *own])
     return python, "" if is_done else said
 
