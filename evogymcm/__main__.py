@@ -24,6 +24,7 @@ COMMANDS: MappingProxyType[str, str] = MappingProxyType(  # modules of `evogymcm
         "train": "train a policy for given bodies",
         "codesign": "evolve bodies, materials and control together",
         "report": "make an HTML report of training, co-design or suite folders",
+        "export": "write a design as drawing, table and meshes, for fabrication",
     }
 )
 _BROKEN_PIPE = 141  # exit status, as shells have it

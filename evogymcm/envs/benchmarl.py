@@ -29,7 +29,7 @@ class BenchMARLTask(TaskClass):
     Args:
         task: A task or its id.
         bodies: The bodies.
-        options: material, stiffness, edge_rule, physics, num_threads and grid_shape, as all environments take them: see
+        options: material, stiffness, edge_rule, physics, num_threads, grid_shape and work_weight, as all take them: see
             `EngineOptions`. BenchMARL gives the seed.
 
     Raises:

@@ -39,7 +39,7 @@ class FlatPopulationEnv(Adapter, EnvBase):
         bodies: The P bodies.
         copies: C.
         device: Where tensors go; the simulator runs on the CPU.
-        options: material, stiffness, edge_rule, physics, num_threads, grid_shape and seed, as all environments take
+        options: material, stiffness, edge_rule, physics, num_threads, grid_shape, work_weight and seed, as all environments take
             them: see `EngineOptions`.
 
     Raises:
