@@ -39,8 +39,8 @@ class FlatPopulationEnv(Adapter, EnvBase):
         bodies: The P bodies.
         copies: C.
         device: Where tensors go; the simulator runs on the CPU.
-        options: material, stiffness, edge_rule, physics, num_threads, grid_shape, work_weight and seed, as all environments take
-            them: see `EngineOptions`.
+        options: material, stiffness, edge_rule, physics, num_threads, grid_shape, work_weight and seed, as all
+            environments take them: see `EngineOptions`.
 
     Raises:
         ValueError: For bad arguments, as `TaskEngine`; in a step for an action of a wrong shape or with NaN.
