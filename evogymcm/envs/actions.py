@@ -5,11 +5,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from evogymcm._settings import check_array
-from evogymcm.sim.constants import MISSING
+from evogymcm.sim.constants import ACTUATION_HIGH, ACTUATION_LOW, MISSING, STIFFNESS_HIGH, STIFFNESS_LOW
 from evogymcm.sim.kernels._jit import kernel
 
 if TYPE_CHECKING:
     from evogymcm.envs.core import TaskEngine
+
+RANGES = {"actuation": (ACTUATION_LOW, ACTUATION_HIGH), "stiffness": (STIFFNESS_LOW, STIFFNESS_HIGH)}
 
 
 @kernel
