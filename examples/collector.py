@@ -15,8 +15,7 @@ def main(num_worlds: int = 32, steps: int = 250, batches: int = 2) -> None:
     bodies = [cm.sample_body((5, 5), rng) for _ in range(8)]
     env = TransformedEnv(SoftRobotEnv("Walker-v0", bodies, num_worlds, material="reactive"), RewardSum())
     frames = num_worlds * steps
-    options = {"frames_per_batch": frames, "total_frames": batches * frames, "auto_register_policy_transforms": False}
-    collector = Collector(env, make_actor(env), **options)
+    collector = Collector(env, make_actor(env), frames_per_batch=frames, total_frames=batches * frames)
     for data in collector:  # a TensorDict of shape [num_worlds, steps]
         reached = data["next", "episode_reward"][:, -1, 0].reshape(-1, len(bodies)).mean(0)
         print(", ".join(f"{body.text}: {metres:+.3f}" for body, metres in zip(bodies, reached.tolist(), strict=True)))

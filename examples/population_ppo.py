@@ -74,8 +74,6 @@ def main(settings: Settings) -> list[float]:
         OnBodies(actor),
         frames_per_batch=settings.rollout_steps,
         total_frames=settings.rollout_steps * settings.updates,
-        auto_register_policy_transforms=False,
-        track_traj_ids=False,
     )
     rewards: list[float] = []
     for update, data in enumerate(collector):
