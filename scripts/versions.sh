@@ -8,7 +8,6 @@ set -eu
 versions=${1:?"lowest or newest?"}
 shift
 [ $# -gt 0 ] || set -- -m "not slow"
-environment ".venv-$versions" "$versions" ".[test]"
-# Bits come first: where they differ, so does much else.
-".venv-$versions/bin/python" -m evogymcm selfcheck
-VERSIONS=$versions exec ".venv-$versions/bin/python" -m pytest "$@"
+environment ".venv-$versions" "$versions" --editable ".[test]"
+".venv-$versions/bin/python" -m evogymcm selfcheck  # first: where bits differ, so does much else
+exec ".venv-$versions/bin/python" -m pytest "$@"

@@ -9,7 +9,7 @@ trap 'rm -rf "$folder"' EXIT
 .venv/bin/python -m build --no-isolation --wheel --outdir "$folder" . > "$folder/build.log" || { cat "$folder/build.log"; exit 1; }
 cp -r examples "$folder"
 for versions in ${*:-lowest newest}; do
-    environment "$folder/$versions" "$versions" "$(echo "$folder"/*.whl)"
+    environment "$folder/$versions" "$versions" "$(echo "$folder"/*.whl)" -r pyproject.toml  # whose lowest uv takes
     echo "$versions:"
     (
         cd "$folder/examples"
