@@ -2,7 +2,7 @@
 
 import numpy as np
 from torchrl.collectors import Collector
-from torchrl.envs import RewardSum, TransformedEnv
+from torchrl.envs import Compose, InitTracker, RewardSum, TransformedEnv
 
 import evogymcm as cm
 from evogymcm.algos import make_actor
@@ -13,7 +13,8 @@ def main(num_worlds: int = 32, steps: int = 250, batches: int = 2) -> None:
     """Prints how far the eight robots of a random population get."""
     rng = np.random.default_rng(0)
     bodies = [cm.sample_body((5, 5), rng) for _ in range(8)]
-    env = TransformedEnv(SoftRobotEnv("Walker-v0", bodies, num_worlds, material="reactive"), RewardSum())
+    worlds = SoftRobotEnv("Walker-v0", bodies, num_worlds, material="reactive")
+    env = TransformedEnv(worlds, Compose(InitTracker(), RewardSum()))  # TorchRL's collectors ask for the first
     frames = num_worlds * steps
     collector = Collector(env, make_actor(env), frames_per_batch=frames, total_frames=batches * frames)
     for data in collector:  # a TensorDict of shape [num_worlds, steps]

@@ -27,6 +27,7 @@ def test_every_example_is_tested():
     assert {path.stem for path in EXAMPLES.glob("*.py")} == ELSEWHERE | set(RUNS)
 
 
+@pytest.mark.filterwarnings("error::FutureWarning")
 @pytest.mark.usefixtures("own_registries")
 @pytest.mark.parametrize("name", RUNS)
 def test_example_runs(name, capsys):

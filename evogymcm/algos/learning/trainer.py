@@ -42,8 +42,13 @@ def _copies(config: PPOConfig, env: EnvBase) -> int | None:
     return env.num_designs
 
 
-# TorchRL 0.11 and 0.12 number trajectories without asking; nothing here reads the numbers, which cost time and memory.
-_UNNUMBERED = {"track_traj_ids": False} if "track_traj_ids" in inspect.signature(Collector).parameters else {}
+# What TorchRL's collectors do beside collecting and nothing here needs. Versions 0.11 and 0.12 know neither name: they
+# add no transforms, and always number trajectories.
+_WITHOUT = {
+    name: False
+    for name in ("auto_register_policy_transforms", "track_traj_ids")
+    if name in inspect.signature(Collector).parameters
+}
 
 
 class WorldCollector(Collector):
@@ -127,7 +132,7 @@ class Trainer:
         self.policy = self.actor if copies is None else PerDesign(self.actor, copies)
         self.learner = PPOLearner(self.actor, self.critic, config, self.generator)
         with exploration(True):
-            self.collector = WorldCollector(env, self.policy, frames_per_batch=config.frames_per_update, **_UNNUMBERED)
+            self.collector = WorldCollector(env, self.policy, frames_per_batch=config.frames_per_update, **_WITHOUT)
 
     def _check_starts(self, env: EnvBase) -> None:
         """Raises a ValueError where an evaluation cannot have as many starts as the settings say."""
