@@ -21,9 +21,11 @@ ROOMS = (
     "evogymcm.envs",
     "evogymcm.algos.learning",
     "evogymcm.algos.codesign",
+    "evogymcm.algos.gaits",
     "evogymcm.algos.runs",
     "evogymcm.algos.analysis",
     "evogymcm.report",
+    "evogymcm.fabrication",
     "evogymcm.testing",
     "evogymcm.sim",
 )
