@@ -2,7 +2,7 @@
 
 import numpy as np
 from torchrl.collectors import Collector
-from torchrl.envs import RewardSum, TransformedEnv
+from torchrl.envs import Compose, InitTracker, RewardSum, TransformedEnv
 
 import evogymcm as cm
 from evogymcm.algos import make_actor
@@ -13,10 +13,10 @@ def main(num_worlds: int = 32, steps: int = 250, batches: int = 2) -> list[float
     """Prints how far the eight robots of a random population get, and returns it for the last batch."""
     rng = np.random.default_rng(0)
     bodies = [cm.sample_body((5, 5), rng) for _ in range(8)]
-    env = TransformedEnv(SoftRobotEnv("Walker-v0", bodies, num_worlds, material="reactive"), RewardSum())
+    worlds = SoftRobotEnv("Walker-v0", bodies, num_worlds, material="reactive")
+    env = TransformedEnv(worlds, Compose(InitTracker(), RewardSum()))  # TorchRL's collectors ask for the first
     frames = num_worlds * steps
-    options = {"frames_per_batch": frames, "total_frames": batches * frames, "auto_register_policy_transforms": False}
-    collector = Collector(env, make_actor(env), **options)
+    collector = Collector(env, make_actor(env), frames_per_batch=frames, total_frames=batches * frames)
     reached: list[float] = []
     for data in collector:  # a TensorDict of shape [num_worlds, steps]
         reached = data["next", "episode_reward"][:, -1, 0].reshape(-1, len(bodies)).mean(0).tolist()

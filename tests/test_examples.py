@@ -6,6 +6,7 @@ from tests.examples import NAMES, load_example
 from tests.registries import shorten
 
 
+@pytest.mark.filterwarnings("error::FutureWarning")
 @pytest.mark.usefixtures("own_registries")
 @pytest.mark.parametrize("name", NAMES)
 def test_example_passes_its_own_check(name):

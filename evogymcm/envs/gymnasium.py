@@ -259,7 +259,8 @@ class GymnasiumVectorEnv(Described, PerWorld, VectorEnv[np.ndarray, np.ndarray, 
 
     def close_extras(self, **kwargs: Any) -> None:
         """Ends the simulator's threads; a later step starts them again."""
-        self.engine.close()
+        if hasattr(self, "engine"):  # Gymnasium before 1.3 also closes what an error kept from being made
+            self.engine.close()
 
     def render(self) -> tuple[np.ndarray, ...] | None:
         """Returns a picture of each world, uint8 (height, width, 3), where a `render_mode` was given."""
