@@ -23,6 +23,7 @@ COMMANDS: MappingProxyType[str, str] = MappingProxyType(  # modules of `evogymcm
         "watch": "show robots at work, in a window or as a video",
         "train": "train a policy for given bodies",
         "codesign": "evolve bodies, materials and control together",
+        "studio": "draw a robot in the browser, and watch it move and learn",
         "report": "make an HTML report of training, co-design or suite folders",
     }
 )
