@@ -4,6 +4,7 @@ import logging
 import threading
 from collections.abc import Callable
 
+from evogymcm.studio.comparing import Pair
 from evogymcm.studio.store import TERRAIN, Design, Store
 from evogymcm.studio.watching import Wanted, Watch
 
@@ -46,24 +47,33 @@ class Session:
         self._wake()
         self.show()
 
-    def show(self) -> str | None:
-        """Lets the robot be as it is drawn; returns in words why it cannot, None where it can.
+    def wanted(self) -> Wanted:
+        """Returns what is to be seen of the design.
 
-        Where it cannot, the last robot that could goes on.
+        Raises:
+            ValueError: It is no body, or its terrain no world with room for it.
+            OSError: The terrain cannot be written to its file.
         """
         with self.lock:
             design, drawing = self.design, self.design.drawing
             problem = drawing.problem()
             if problem is not None:
-                return problem
-            try:
-                task = self._store.task(self.id, design, drawing.shape)
-            except (ValueError, OSError) as error:
-                return str(error)
-            record = drawing.record()
+                raise ValueError(problem)
+            task = self._store.task(self.id, design, drawing.shape)
             world = design.terrain.text if design.task == TERRAIN else ""
-            wanted = (record["body"], record["stiffness"])
-            self.watch.want(Wanted(task, world, design.material, self.policy, self.policy_version, *wanted))
+            record = drawing.record()
+            shown = (record["body"], record["stiffness"])
+            return Wanted(task, world, design.material, self.policy, self.policy_version, *shown)
+
+    def show(self) -> str | None:
+        """Lets the robot be as it is drawn; returns in words why it cannot, None where it can.
+
+        Where it cannot, the last robot that could goes on.
+        """
+        try:
+            self.watch.want(self.wanted())
+        except (ValueError, OSError) as error:
+            return str(error)
         return None
 
     def drive(self, policy: str) -> None:
@@ -98,6 +108,7 @@ class Studio:
     def __init__(self, store: Store) -> None:
         self.store = store
         self._sessions: dict[str, Session] = {}
+        self._pairs: dict[tuple[str, str], Pair] = {}
         self._lock = threading.Lock()
         self._is_due, self._is_closed = threading.Event(), threading.Event()
         self._saver = threading.Thread(target=self._save_on, name="studio-saver", daemon=True)
@@ -113,6 +124,14 @@ class Studio:
             if id not in self._sessions:
                 self._sessions[id] = Session(id, self.store.load(id), self.store, self._is_due.set)
             return self._sessions[id]
+
+    def pair(self, one: str, other: str) -> Pair:
+        """Returns two designs side by side; ValueError as `open`."""
+        sessions = (self.open(one), self.open(other))
+        with self._lock:
+            if (one, other) not in self._pairs:
+                self._pairs[one, other] = Pair(sessions)
+            return self._pairs[one, other]
 
     def sessions(self) -> list[Session]:
         """Returns the sessions."""
@@ -140,6 +159,8 @@ class Studio:
         self._saver.join(10)
         for session in self.sessions():
             session.watch.close()
+        for pair in self._pairs.values():
+            pair.close()
         if not self.save():
             _logger.warning("some designs could not be saved")
 

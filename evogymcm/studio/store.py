@@ -105,10 +105,11 @@ def check_task(task: object) -> str:
 
 @dataclass(frozen=True)
 class Entry:
-    """A line of the list of designs: id, name, and when it was changed (seconds since 1970)."""
+    """A line of the list of designs: id, name, what is drawn, and when it was changed (seconds since 1970)."""
 
     id: str
     name: str
+    drawing: Drawing
     changed: float
 
 
@@ -148,7 +149,8 @@ class Store:
         found = []
         for path in (self.folder / "designs").glob("*.json"):
             try:
-                found.append(Entry(path.stem, self.load(path.stem).name, path.stat().st_mtime))
+                design = self.load(path.stem)
+                found.append(Entry(path.stem, design.name, design.drawing, path.stat().st_mtime))
             except (ValueError, OSError):
                 continue
         return sorted(found, key=lambda entry: (-entry.changed, entry.id))

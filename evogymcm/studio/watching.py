@@ -2,7 +2,8 @@
 
 import logging
 import threading
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -48,7 +49,7 @@ class Watch:
         self.problem: str | None = None
         self._wanted: Wanted | None = None
         self._shown: Wanted | None = None
-        self._speed, self._plays = 50.0, True
+        self._speed, self._plays, self._viewers = 50.0, True, 0
         self._change = threading.Condition()
         self._thread: threading.Thread | None = None
         self._is_closed = False
@@ -71,17 +72,39 @@ class Watch:
 
     @property
     def plays(self) -> bool:
-        """Whether the robot moves by itself."""
+        """Whether the robot moves by itself while somebody looks on."""
         return self._plays
 
     @plays.setter
     def plays(self, plays: bool) -> None:
         self._plays = plays
-        if self.player is not None:
-            if plays:
-                self.player.play()
+        self._start_or_stop()
+
+    @property
+    def is_viewed(self) -> bool:
+        """Whether somebody looks on."""
+        return self._viewers > 0
+
+    @contextmanager
+    def viewed(self) -> Iterator[None]:
+        """Says that somebody looks on; without anybody the robot stands still."""
+        self._viewers += 1
+        self._start_or_stop()
+        try:
+            yield
+        finally:
+            self._viewers -= 1
+            self._start_or_stop()
+
+    def _start_or_stop(self) -> None:
+        player = self.player
+        if player is None:
+            return
+        with suppress(RuntimeError):  # it has just been closed
+            if self._plays and self._viewers:
+                player.play()
             else:
-                self.player.pause()
+                player.pause()
 
     def want(self, wanted: Wanted) -> None:
         """Says what is to be seen from now on."""
@@ -124,7 +147,7 @@ class Watch:
         from evogymcm.studio.player import Player
 
         was, player = self._shown, self.player
-        field = _field(wanted)
+        field = read_field(wanted)
         place = ("task", "world", "material")
         if player is not None and was is not None and self.problem is None and _alike(was, wanted, place):
             if not _alike(was, wanted, ("policy", "version")):
@@ -133,9 +156,8 @@ class Watch:
                 player.update(wanted.body, field)
             return
         new = Player(wanted.body, field, wanted.task, wanted.material, wanted.policy, speed=self._speed)
-        if self._plays:
-            new.play()
         self.player = new
+        self._start_or_stop()
         if player is not None:
             with suppress(RuntimeError):
                 player.close()
@@ -145,7 +167,8 @@ def _alike(one: Wanted, other: Wanted, names: tuple[str, ...]) -> bool:
     return all(getattr(one, name) == getattr(other, name) for name in names)
 
 
-def _field(wanted: Wanted) -> Any:
+def read_field(wanted: Wanted) -> Any:
+    """Returns the field of what is wanted as `Player` takes it."""
     if wanted.stiffness is None or wanted.material == "reactive":
         return None
     return [[float(number) for number in row.split(",")] for row in wanted.stiffness.split("/")]

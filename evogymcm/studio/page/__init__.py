@@ -3,61 +3,90 @@
 from nicegui import app, ui
 from starlette.websockets import WebSocket
 
-from evogymcm.studio.drawing import Drawing
+from evogymcm.studio.page.compare import ComparePage
 from evogymcm.studio.page.draw import DrawPanel
-from evogymcm.studio.page.keep import BIPED, Header, new_dialog
+from evogymcm.studio.page.keep import Header, home
 from evogymcm.studio.page.scene import stream
-from evogymcm.studio.page.theme import dress
+from evogymcm.studio.page.start import design_list, first_design, new_dialog, shared_design
+from evogymcm.studio.page.theme import dress, icon_button
 from evogymcm.studio.page.watch import WatchPanel
 from evogymcm.studio.sessions import Session, Studio
-from evogymcm.studio.store import Design
 
 _LOOK = 0.1  # seconds between looks at what other tabs and threads have done
+_TITLE = "evogymcm studio"
 
 
 def register(studio: Studio) -> None:
     """Makes the pages of a studio in NiceGUI's app."""
 
-    @ui.page("/", title="evogymcm studio")
+    @ui.page("/", title=_TITLE)
     def first() -> None:
         entries = studio.store.entries()
-        id = entries[0].id if entries else studio.store.add(Design("My first robot", drawing=Drawing.of(BIPED)))
-        ui.navigate.to(f"/d/{id}")
+        ui.navigate.to(f"/d/{entries[0].id if entries else studio.store.add(first_design())}")
 
-    @ui.page("/d/{id}", title="evogymcm studio")
+    @ui.page("/d/{id}", title=_TITLE)
     def design(id: str) -> None:
         try:
             session = studio.open(id)
         except ValueError as error:
-            lost(studio, str(error))
+            with _frame(studio), ui.element("section").classes("studio-card studio-span"):
+                ui.label(str(error))
             return
         DesignPage(studio, session)
 
-    @ui.page("/designs", title="evogymcm studio: designs")
+    @ui.page("/designs", title=f"{_TITLE}: designs")
     def designs() -> None:
-        dress()
-        with ui.element("main").classes("studio-main"), ui.element("section").classes("studio-card"):
-            ui.label("Designs").classes("studio-title")
-            for entry in studio.store.entries():
-                ui.link(entry.name, f"/d/{entry.id}")
-            ui.button("New", icon="add", on_click=lambda: new_dialog(studio).open()).props("flat no-caps")
+        with _frame(studio), ui.element("div").classes("studio-span"):
+            design_list(studio)
+
+    @ui.page("/open", title=_TITLE)
+    def shared(design: str = "") -> None:
+        with _frame(studio), ui.element("section").classes("studio-card studio-span"):
+            shared_design(studio, design)
+
+    @ui.page("/compare/{one}/{other}", title=f"{_TITLE}: two designs")
+    def compare(one: str, other: str) -> None:
+        try:
+            pair = studio.pair(one, other)
+        except ValueError as error:
+            with _frame(studio), ui.element("section").classes("studio-card studio-span"):
+                ui.label(str(error))
+            return
+        _header(studio)
+        ComparePage(pair)
 
     @app.websocket("/live/{id}")
     async def live(socket: WebSocket, id: str) -> None:
         try:
-            session = studio.open(id)
+            watch = studio.open(id).watch
         except ValueError:
             await socket.close(1008)
             return
-        await stream(socket, session)
+        await stream(socket, watch)
+
+    @app.websocket("/pair/{one}/{other}/{side}")
+    async def live_pair(socket: WebSocket, one: str, other: str, side: int) -> None:
+        try:
+            watch = studio.pair(one, other).watches[1 if side else 0]
+        except ValueError:
+            await socket.close(1008)
+            return
+        await stream(socket, watch)
 
 
-def lost(studio: Studio, why: str) -> None:
-    """Shows that there is no such design."""
+def _header(studio: Studio) -> None:
     dress()
-    with ui.element("main").classes("studio-main"), ui.element("section").classes("studio-card"):
-        ui.label(why)
-        ui.link("All designs", "/designs")
+    with ui.header(elevated=False).classes("studio-header items-center no-wrap gap-2"):
+        home()
+        ui.space()
+        icon_button("add", "New design", lambda: new_dialog(studio), marker="new")
+        icon_button("folder_open", "All designs", lambda: ui.navigate.to("/designs"))
+
+
+def _frame(studio: Studio) -> ui.element:
+    """Returns the main part of a page that shows no design."""
+    _header(studio)
+    return ui.element("main").classes("studio-main")
 
 
 class DesignPage:
@@ -69,7 +98,7 @@ class DesignPage:
     """
 
     def __init__(self, studio: Studio, session: Session) -> None:
-        self._session, self._shown = session, -1
+        self._session, self._shown = session, session.version
         session.show()
         dress()
         self._header = Header(studio, session, self._refresh)

@@ -101,13 +101,15 @@ class DrawPanel:
 
     def _make_texts(self) -> None:
         self._sizes: list[ui.number] = []
-        with ui.row().classes("w-full items-center no-wrap gap-2"):
-            self._text = ui.input("As text", on_change=None).props("dense outlined").classes("studio-mono studio-grow")
-            self._text.mark("text").on("change", lambda: self._write(self._text.value or ""))
-            for name in ("rows", "columns"):
-                size = ui.number(name, min=1, step=1, precision=0).props("dense outlined").classes("w-20")
-                size.on("change", self._resize).mark(name)
-                self._sizes.append(size)
+        with ui.row().classes("w-full items-start no-wrap gap-2"):
+            self._text = ui.textarea("As text").props("dense outlined autogrow spellcheck=false")
+            self._text.classes("studio-mono studio-grow").mark("text")
+            self._text.on("change", lambda: self._write(self._text.value or ""))
+            with ui.column().classes("gap-2 w-24"):
+                for name in ("rows", "columns"):
+                    size = ui.number(name, min=1, step=1, precision=0).props("dense outlined").classes("w-full")
+                    size.on("change", self._resize).mark(name)
+                    self._sizes.append(size)
 
     def _choose_tab(self, tab: str) -> None:
         self._tab = tab
@@ -260,7 +262,8 @@ class DrawPanel:
         self._redo.set_enabled(sketch.can_redo)
         self._grid.show(sketch, by_stiffness=tab == STIFFNESS)
         self._hold_tool()
-        self._text.value = sketch.stiffness_text if isinstance(sketch, Drawing) and tab == STIFFNESS else sketch.text
+        text = sketch.stiffness_text if isinstance(sketch, Drawing) and tab == STIFFNESS else sketch.text
+        self._text.value = text.replace("/", "\n")
         for size, value in zip(self._sizes, sketch.shape, strict=True):
             size.value = value
         self._say()

@@ -1,22 +1,25 @@
-"""The header: the design's name, whether it is kept, other designs, sharing and files."""
+"""The header of a design's page: its name, whether it is kept, sharing, files and videos."""
 
+import io
 import json
+import tempfile
 from collections.abc import Callable
+from functools import partial
+from pathlib import Path
 from urllib.parse import urlencode
 
-from nicegui import events, ui
+import numpy as np
+from nicegui import run, ui
 
-from evogymcm.body import robots
-from evogymcm.studio.drawing import Drawing
+from evogymcm.studio.page.start import new_dialog
 from evogymcm.studio.page.theme import ICON, icon_button
 from evogymcm.studio.sessions import Session, Studio
-from evogymcm.studio.store import LARGEST_FILE, Design
 
-BIPED = "HHHHH/HHHHH/HH.HH/VV.VV/VV.VV"
+_VIDEO_STEPS = 250
 
 
 class Header:
-    """The header of a design's page.
+    """The header.
 
     Args:
         studio: All designs.
@@ -27,21 +30,30 @@ class Header:
     def __init__(self, studio: Studio, session: Session, refresh: Callable[[], None]) -> None:
         self._studio, self._session, self._refresh_page = studio, session, refresh
         with ui.header(elevated=False).classes("studio-header items-center no-wrap gap-2"):
-            with (
-                ui.link(target="/designs")
-                .classes("row items-center no-wrap gap-2 no-underline")
-                .style("color: inherit")
-            ):
-                ui.html(ICON, sanitize=False).style("width: 26px; height: 26px")
-                ui.html("<span>evogymcm studio</span>", sanitize=False).classes("studio-logo")
+            home()
             self._name = ui.input(value=session.design.name).props('dense borderless aria-label="name of the design"')
             self._name.classes("studio-name").mark("name").on("change", self._rename)
             self._saved = ui.label().classes("studio-saved ellipsis").mark("saved")
             ui.space()
-            icon_button("add", "New design", lambda: new_dialog(studio).open(), marker="new")
+            icon_button("add", "New design", lambda: new_dialog(studio), marker="new")
             icon_button("folder_open", "All designs", lambda: ui.navigate.to("/designs"), marker="designs")
+            icon_button("compare", "Compare with another design", self._choose_other, marker="compare")
             icon_button("share", "Share", self._share, marker="share")
+            with icon_button("download", "Files and videos", lambda: None, marker="export"), ui.menu():
+                self._make_exports()
         self.tick()
+
+    def _make_exports(self) -> None:
+        for text, handle in (
+            ("Design (.json)", self._download_design),
+            ("Body for EvoGym (.npz)", self._download_body),
+            ("Body as text (.txt)", self._download_text),
+        ):
+            ui.menu_item(text, handle)
+        ui.separator()
+        for suffix in (".gif", ".mp4"):
+            for view in ("types", "stiffness"):
+                ui.menu_item(f"Video of {view} ({suffix})", partial(self._film, suffix, view))
 
     def _rename(self) -> None:
         try:
@@ -52,28 +64,77 @@ class Header:
         self._session.changed()
         self._refresh_page()
 
+    def _choose_other(self) -> None:
+        others = {entry.id: entry.name for entry in self._studio.store.entries() if entry.id != self._session.id}
+        with ui.dialog(value=True), ui.card().classes("studio-card studio-dialog"):
+            ui.label("Compare with").classes("studio-title")
+            if not others:
+                ui.label("There is no other design yet.").classes("studio-small")
+                return
+            other = ui.select(others, label="Design", on_change=lambda event: self._compare(str(event.value)))
+            other.props("dense outlined options-dense").classes("w-full").mark("other")
+
+    def _compare(self, other: str) -> None:
+        ui.navigate.to(f"/compare/{self._session.id}/{other}")
+
     def _share(self) -> None:
-        design = self._session.design
-        with ui.dialog(value=True) as dialog, ui.card().classes("studio-card").style("max-width: 520px"):
+        text = self.text()
+        request = ui.context.client.request
+        base = str(request.base_url).rstrip("/") if request is not None else ""
+        link = f"{base}/open?" + urlencode({"design": text})
+        with ui.dialog(value=True) as dialog, ui.card().classes("studio-card studio-dialog"):
             ui.label("Share this design").classes("studio-title")
-            link = "/open?" + urlencode({"design": json.dumps(design.record(), separators=(",", ":"))})
-            field = ui.input("Link, for anyone who runs a studio on this port").props("readonly dense outlined")
-            field.classes("w-full studio-mono").mark("link")
-            ui.run_javascript("return location.origin")
-            field.value = link
-            text = (
-                ui.textarea("Text", value=json.dumps(design.record()))
-                .props("readonly outlined dense")
-                .classes("w-full studio-mono")
-            )
-            text.mark("share-text")
+            for label, value, marker in (
+                ("Link, for a studio on the same port", link, "link"),
+                ("Text, for “New design”", text, "share-text"),
+            ):
+                with ui.row().classes("w-full items-center no-wrap gap-1"):
+                    field = ui.input(label, value=value).props("readonly dense outlined")
+                    field.classes("studio-mono studio-grow").mark(marker)
+                    icon_button("content_copy", f"Copy {label.split(',')[0].lower()}", partial(_copy, value))
             with ui.row().classes("w-full justify-end"):
-                ui.button("File", icon="download", on_click=self._download).props("flat no-caps")
                 ui.button("Close", on_click=dialog.close).props("flat no-caps")
 
-    def _download(self) -> None:
-        record = json.dumps(self._session.design.record(), indent=1)
+    def text(self) -> str:
+        """Returns the design as one line of text."""
+        with self._session.lock:
+            return json.dumps(self._session.design.record(), separators=(",", ":"), ensure_ascii=False)
+
+    def _download_design(self) -> None:
+        record = json.dumps(self._session.design.record(), indent=1, ensure_ascii=False)
         ui.download.content(record.encode(), f"{self._session.id}.json", "application/json")
+
+    def _download_text(self) -> None:
+        text = self._session.design.drawing.text.replace("/", "\n") + "\n"
+        ui.download.content(text.encode(), f"{self._session.id}.txt", "text/plain")
+
+    def _download_body(self) -> None:
+        try:
+            body = self._session.design.drawing.body()
+        except ValueError as error:
+            ui.notify(str(error), type="warning")
+            return
+        file = io.BytesIO()
+        np.savez(file, body.grid, body.connections)
+        ui.download.content(file.getvalue(), f"{self._session.id}.npz", "application/octet-stream")
+
+    async def _film(self, suffix: str, view: str) -> None:
+        """Makes a video of the robot as it moves now, beside the page."""
+        from evogymcm.studio.filming import film
+
+        note = ui.notification("Making the video …", spinner=True, timeout=None)
+        try:
+            wanted = self._session.wanted()
+            with tempfile.TemporaryDirectory() as folder:
+                path = Path(folder) / f"{self._session.id}{suffix}"
+                await run.io_bound(film, wanted, path, steps=_VIDEO_STEPS, view=view)
+                content = path.read_bytes()
+        except (ValueError, OSError, ImportError) as error:
+            note.dismiss()
+            ui.notify(str(error), type="warning", multi_line=True)
+            return
+        note.dismiss()
+        ui.download.content(content, f"{self._session.id}{suffix}")
 
     def refresh(self) -> None:
         """Shows the name as it is."""
@@ -90,45 +151,13 @@ class Header:
             self._saved.classes(remove="text-negative")
 
 
-def new_dialog(studio: Studio) -> ui.dialog:
-    """Returns a dialog that makes a new design: drawn anew, of a robot, of a text or of a file."""
+def home() -> None:
+    """Shows what the page is, and leads to all designs."""
+    with ui.link(target="/designs").classes("studio-home"):
+        ui.html(ICON, sanitize=False).classes("studio-icon")
+        ui.label("evogymcm studio").classes("studio-logo")
 
-    def make(design: Design) -> None:
-        try:
-            ui.navigate.to(f"/d/{studio.store.add(design)}")
-        except OSError as error:
-            ui.notify(f"It cannot be kept: {error.strerror}", type="negative")
 
-    def read(text: str) -> None:
-        try:
-            make(Design.read(text))
-        except ValueError as error:
-            ui.notify(str(error), type="warning", multi_line=True)
-
-    async def upload(event: events.UploadEventArguments) -> None:
-        try:
-            read(await event.file.text())
-        except UnicodeDecodeError:
-            ui.notify("This file is no text.", type="warning")
-
-    with ui.dialog() as dialog, ui.card().classes("studio-card").style("max-width: 440px"):
-        ui.label("New design").classes("studio-title")
-        with ui.element("div").classes("studio-bar"):
-            ui.button("Empty grid", icon="grid_on", on_click=lambda: make(Design())).props("outline no-caps").mark(
-                "new-empty"
-            )
-            biped = Design("Biped", drawing=Drawing.of(BIPED))
-            ui.button("Biped", icon="directions_walk", on_click=lambda: make(biped)).props("outline no-caps")
-        chosen = ui.select(list(robots), label="A robot of the paper", on_change=lambda event: read(str(event.value)))
-        chosen.props("dense outlined options-dense").classes("w-full")
-        text = (
-            ui.textarea("A body or design as text", placeholder="HHH/V.V")
-            .props("outlined dense")
-            .classes("w-full studio-mono")
-        )
-        ui.button("Make it", on_click=lambda: read(text.value or "")).props("flat no-caps")
-        drop = ui.upload(
-            label="… or a file", on_upload=upload, auto_upload=True, max_file_size=LARGEST_FILE, max_files=1
-        )
-        drop.props('flat bordered accept=".json,.txt"').classes("w-full")
-    return dialog
+def _copy(text: str) -> None:
+    ui.clipboard.write(text)
+    ui.notify("copied", type="positive")

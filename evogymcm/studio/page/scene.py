@@ -2,6 +2,7 @@
 
 import asyncio
 import json
+import time
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
@@ -13,13 +14,14 @@ from evogymcm.envs.render import palette
 from evogymcm.envs.render.renderer import VIEWS
 from evogymcm.sim.constants import FIXED
 from evogymcm.studio.page.grid import hex_color
-from evogymcm.studio.sessions import Session
+from evogymcm.studio.watching import Watch
 
 if TYPE_CHECKING:
     from evogymcm.studio.player import Player
 
 ASPECT = 2.0
-_OFTEN, _SELDOM = 0.008, 0.05  # seconds between looks at a robot that plays, or stands
+_OFTEN, _SELDOM = 0.008, 0.05  # seconds between looks at a robot that moves, or stands
+_AWAKE = 1.0  # seconds without a change after which it stands
 _GONE = "gone"  # what stands for a closed tab
 _NOTHING = (0, -1)  # the scene without a robot
 _ENDINGS = ("", "goal", "failure", "time", "unstable")
@@ -37,14 +39,14 @@ class SceneCanvas(Element, component="scene.js"):
     """A picture of a design that moves.
 
     Args:
-        id: The design's.
+        source: The path of its websocket.
         aspect: Width over height.
     """
 
-    def __init__(self, id: str, aspect: float = ASPECT) -> None:
+    def __init__(self, source: str, aspect: float = ASPECT) -> None:
         super().__init__()
         label = "the robot in its world"
-        self._props.update(source=f"/live/{id}", view=VIEWS[0], aspect=aspect, palette=_PALETTE, label=label)
+        self._props.update(source=source, view=VIEWS[0], aspect=aspect, palette=_PALETTE, label=label)
 
     def look(self, view: str) -> None:
         """Shows types or stiffness."""
@@ -52,13 +54,14 @@ class SceneCanvas(Element, component="scene.js"):
         self.update()
 
 
-async def stream(socket: WebSocket, session: Session) -> None:
-    """Sends frames of a session's robot: one for each that the page asks for, as soon as something has changed."""
+async def stream(socket: WebSocket, watch: Watch) -> None:
+    """Sends frames of a robot: one for each that the page asks for, as soon as something has changed."""
     await socket.accept()
     asked: asyncio.Queue[str] = asyncio.Queue()
     reader = asyncio.ensure_future(_read(socket, asked))
     try:
-        await _send_frames(socket, session, asked)
+        with watch.viewed():
+            await _send_frames(socket, watch, asked)
     except (WebSocketDisconnect, RuntimeError):
         pass  # the tab is closed
     finally:
@@ -72,18 +75,18 @@ async def _read(socket: WebSocket, asked: "asyncio.Queue[str]") -> None:
     asked.put_nowait(_GONE)
 
 
-async def _send_frames(socket: WebSocket, session: Session, asked: "asyncio.Queue[str]") -> None:
+async def _send_frames(socket: WebSocket, watch: Watch, asked: "asyncio.Queue[str]") -> None:
     request = ""  # what is asked for and not sent yet
     scene: tuple[int, int] | None = None  # what was sent last
     shown: tuple[Any, ...] | None = None
-    aspect, view, pause = ASPECT, VIEWS[0], _SELDOM
+    aspect, view, pause, changed = ASPECT, VIEWS[0], _SELDOM, 0.0
     while True:
         with suppress(TimeoutError):
             request = await asyncio.wait_for(asked.get(), pause)
             if request == _GONE:
                 return
             aspect, view = _read_request(request)
-        player, pause = session.watch.player, _SELDOM
+        player, pause = watch.player, _SELDOM
         if player is None:
             if scene != _NOTHING:
                 await socket.send_text(json.dumps({"empty": True}))
@@ -96,8 +99,8 @@ async def _send_frames(socket: WebSocket, session: Session, asked: "asyncio.Queu
         look = (scene, frame["episode"], frame["step"], view, aspect, frame["stiffness"].tobytes())
         if request and look != shown:
             await socket.send_bytes(pack(frame, view).tobytes())
-            request, shown = "", look
-        pause = _OFTEN if frame["playing"] and request else _SELDOM
+            request, shown, changed = "", look, time.monotonic()
+        pause = _OFTEN if request and time.monotonic() - changed < _AWAKE else _SELDOM
 
 
 def _read_request(request: str) -> tuple[float, str]:

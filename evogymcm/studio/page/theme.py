@@ -4,11 +4,13 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from nicegui import ui
 
 from evogymcm._grid import CELL_CHARS, EMPTY
 from evogymcm.body import STIFFNESS_HIGH, STIFFNESS_LOW
 from evogymcm.envs.render import palette
+from evogymcm.studio.drawing import Drawing
 from evogymcm.studio.page.grid import hex_color
 
 BLUE = hex_color(palette.type_color(CELL_CHARS.index("V")))
@@ -50,10 +52,21 @@ def swatch_button(code: int, name: str, on_click: Callable[[], Any]) -> ui.butto
 
 def stiffness_ramp() -> None:
     """Shows the colour bar of stiffness, with its ends."""
-    import numpy as np
-
     stops = [hex_color(color) for color in palette.stiffness_colors(np.geomspace(STIFFNESS_LOW, STIFFNESS_HIGH, 17))]
     ui.element("div").classes("studio-ramp").style(f"background: linear-gradient(90deg, {', '.join(stops)})")
+
+
+def thumbnail(drawing: Drawing) -> str:
+    """Returns a small picture of a drawing, as SVG."""
+    grid, stiffness = drawing.grid, drawing.stiffness
+    rows, cols = grid.shape
+    size = max(rows, cols)
+    parts = [f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {size} {size}" aria-hidden="true">']
+    for row, col in zip(*np.nonzero(grid), strict=True):
+        color = hex_color(palette.type_color(int(grid[row, col]), 1.0, float(stiffness[row, col])))
+        x, y = col + (size - cols) / 2, row + size - rows
+        parts.append(f'<rect x="{x + 0.03}" y="{y + 0.03}" width=".94" height=".94" rx=".08" fill="{color}"/>')
+    return "".join([*parts, "</svg>"])
 
 
 class Says:

@@ -1,6 +1,7 @@
 """The panel where a design is watched in its task."""
 
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 from nicegui import run, ui
 
@@ -10,9 +11,12 @@ from evogymcm.studio.page.theme import SEGMENTS, icon_button
 from evogymcm.studio.sessions import Session
 from evogymcm.studio.store import TERRAIN, check_task
 
+if TYPE_CHECKING:
+    from evogymcm.studio.player import Player
+
 _POLICIES = {"sine": "Sine gait", "random": "Random actions", "still": "Neutral actions"}
 _MATERIALS = {"invariant": "Invariant: stiffness is the body's", "reactive": "Reactive: the policy sets stiffness"}
-_VIEWS = {"types": "Types", "stiffness": "Stiffness"}
+VIEWS_SHOWN = {"types": "Types", "stiffness": "Stiffness"}
 SLOWEST, FASTEST = 5, 200  # env-steps a second
 
 
@@ -28,7 +32,7 @@ class WatchPanel:
         self._session, self._refresh_page = session, refresh
         with ui.element("section").classes("studio-card").props('aria-label="Watch"'):
             self._make_choices()
-            self._scene = SceneCanvas(session.id)
+            self._scene = SceneCanvas(f"/live/{session.id}")
             with self._scene.mark("scene"):
                 self._tally = ui.label().classes("studio-tally").mark("tally")
                 self._over = ui.element("div").classes("studio-over")
@@ -68,7 +72,7 @@ class WatchPanel:
             self._speed = ui.label().classes("studio-small")
             speed.on_value_change(lambda event: self._set_speed(float(event.value)))
             ui.space()
-            view = ui.toggle(_VIEWS, value="types", on_change=lambda event: self._scene.look(event.value))
+            view = ui.toggle(VIEWS_SHOWN, value="types", on_change=lambda event: self._scene.look(event.value))
             view.props(SEGMENTS + " dense").classes("studio-tabs").style("width: 160px").mark("view")
         self._set_speed(self._session.watch.speed)
 
@@ -133,6 +137,11 @@ class WatchPanel:
         self._problem.set_visibility(bool(self._problem.text))
         self._tally.set_visibility(player is not None)
         if player is not None:
-            frame = player.frame()
-            ending = f" · {frame['ending']}" if frame["ending"] else ""
-            self._tally.set_text(f"step {frame['step']} · score {frame['score']:.2f}{ending}")
+            self._tally.set_text(tally(player))
+
+
+def tally(player: "Player") -> str:
+    """Returns in words where an episode stands."""
+    frame = player.frame()
+    ending = f" · {frame['ending']}" if frame["ending"] else ""
+    return f"step {frame['step']} · score {frame['score']:.2f}{ending}"
