@@ -1,4 +1,4 @@
-"""The studio: designs that are drawn, painted, watched and trained on a page in the browser."""
+"""The studio: designs that are drawn, painted, watched and trained on a page in the browser. Needs `evogymcm[studio]`."""
 
 from evogymcm._doors import door
 
@@ -6,7 +6,8 @@ __getattr__, __dir__, __all__ = door(
     __name__,
     {
         "drawing": ["Drawing"],
-        "store": ["Store"],
+        "player": ["Player"],
+        "server": ["serve"],
         "terrain": ["Terrain"],
     },
 )
