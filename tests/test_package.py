@@ -46,7 +46,8 @@ import importlib, pkgutil
 import evogymcm
 
 for module in pkgutil.walk_packages(evogymcm.__path__, "evogymcm."):
-    importlib.import_module(module.name)
+    if not module.name.startswith("evogymcm.studio.page"):  # what the extra is for
+        importlib.import_module(module.name)
 """
 RENDER = """
 from evogymcm.envs import Renderer, TaskEngine

@@ -5,18 +5,17 @@ from functools import partial
 
 from nicegui import events, ui
 
+from evogymcm.algos.learning.bodies import STANDARD_BODY
 from evogymcm.body import robots
 from evogymcm.studio.drawing import Drawing
 from evogymcm.studio.page.theme import icon_button, thumbnail
 from evogymcm.studio.sessions import Studio
 from evogymcm.studio.store import LARGEST_FILE, Design, Entry
 
-BIPED = "HHHHH/HHHHH/HH.HH/VV.VV/VV.VV"
-
 
 def first_design() -> Design:
     """Returns what a new user sees first: a body that walks."""
-    return Design("My first robot", drawing=Drawing.of(BIPED))
+    return Design("My first robot", drawing=Drawing.of(STANDARD_BODY))
 
 
 def keep(studio: Studio, design: Design) -> None:
@@ -47,7 +46,7 @@ def new_dialog(studio: Studio) -> None:
         with ui.element("div").classes("studio-bar"):
             for label, icon, design in (
                 ("Empty grid", "grid_on", Design()),
-                ("Biped", "directions_walk", Design("Biped", drawing=Drawing.of(BIPED))),
+                ("Biped", "directions_walk", Design("Biped", drawing=Drawing.of(STANDARD_BODY))),
             ):
                 ui.button(label, icon=icon, on_click=partial(keep, studio, design)).props("outline no-caps")
         chosen = ui.select(list(robots), label="A robot of the paper", on_change=lambda event: read(str(event.value)))
