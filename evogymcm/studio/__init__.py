@@ -1,4 +1,4 @@
-"""The studio: designs that are drawn, painted, watched and trained on a page in the browser. Needs `evogymcm[studio]`."""
+"""The studio: a page to draw designs, paint, watch and train them. Its server needs `evogymcm[studio]`."""
 
 from evogymcm._doors import door
 

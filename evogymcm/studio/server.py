@@ -61,6 +61,7 @@ def _listen(port: int) -> socket.socket:
     listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
         listening.bind((HOST, port))
+        listening.listen()  # who comes from now on waits for the server
     except OSError as error:
         listening.close()
         raise ValueError(f"port: {port} cannot be used ({error.strerror}); choose another one, or 0 for any") from error

@@ -8,9 +8,8 @@ import time
 import pytest
 
 from evogymcm.studio import Drawing
-from evogymcm.studio.store import Store
 from evogymcm.studio.sessions import Studio
-from evogymcm.studio.store import TERRAIN, Design
+from evogymcm.studio.store import TERRAIN, Design, Store
 
 
 @pytest.fixture(name="store")
