@@ -5,7 +5,8 @@ import threading
 from collections.abc import Callable
 
 from evogymcm.studio.comparing import Pair
-from evogymcm.studio.store import TERRAIN, Design, Store
+from evogymcm.studio.runs import Runs
+from evogymcm.studio.store import TERRAIN, Design, Store, check_policy
 from evogymcm.studio.watching import Wanted, Watch
 
 _logger = logging.getLogger("evogymcm")
@@ -23,17 +24,15 @@ class Session:
         unsaved: Why its last change could not be saved, None where it could.
         lock: Held by whoever changes or reads the design.
         watch: Its robot, once `show` was called.
-        policy: What moves the robot, see `Player`.
     """
 
-    def __init__(self, id: str, design: Design, store: Store, wake: Callable[[], None]) -> None:
+    def __init__(self, id: str, design: Design, store: Store, runs: Runs, wake: Callable[[], None]) -> None:
         self.id, self.design = id, design
         self.version = self.saved = 0
         self.unsaved: str | None = None
         self.lock = threading.RLock()
         self.watch = Watch()
-        self.policy, self.policy_version = "sine", 0
-        self._store, self._wake = store, wake
+        self._store, self._runs, self._wake = store, runs, wake
 
     @property
     def is_saved(self) -> bool:
@@ -47,11 +46,14 @@ class Session:
         self._wake()
         self.show()
 
-    def wanted(self) -> Wanted:
+    def wanted(self, *, with_policy: bool = True) -> Wanted:
         """Returns what is to be seen of the design.
 
+        Args:
+            with_policy: Whether its policy has to be there; otherwise it is a sine gait.
+
         Raises:
-            ValueError: It is no body, or its terrain no world with room for it.
+            ValueError: It is no body, its terrain no world with room for it, or its policy not there.
             OSError: The terrain cannot be written to its file.
         """
         with self.lock:
@@ -63,7 +65,8 @@ class Session:
             world = design.terrain.text if design.task == TERRAIN else ""
             record = drawing.record()
             shown = (record["body"], record["stiffness"])
-            return Wanted(task, world, design.material, self.policy, self.policy_version, *shown)
+            policy, version = self._runs.policy(design.policy) if with_policy else ("sine", 0)
+            return Wanted(task, world, design.material, policy, version, *shown)
 
     def show(self) -> str | None:
         """Lets the robot be as it is drawn; returns in words why it cannot, None where it can.
@@ -77,11 +80,11 @@ class Session:
         return None
 
     def drive(self, policy: str) -> None:
-        """Lets something else move the robot; a policy that was driving already is read anew."""
+        """Lets something else move the robot, see `check_policy`; ValueError where it is nothing that can."""
+        policy = check_policy(policy)
         with self.lock:
-            self.policy_version += policy == self.policy
-            self.policy = policy
-        self.show()
+            self.design.policy = policy
+        self.changed()
 
     def save(self) -> bool:
         """Writes the design if it was changed, and returns whether that worked."""
@@ -106,7 +109,7 @@ class Studio:
     """
 
     def __init__(self, store: Store) -> None:
-        self.store = store
+        self.store, self.runs = store, Runs(store)
         self._sessions: dict[str, Session] = {}
         self._pairs: dict[tuple[str, str], Pair] = {}
         self._lock = threading.Lock()
@@ -122,7 +125,7 @@ class Studio:
         """
         with self._lock:
             if id not in self._sessions:
-                self._sessions[id] = Session(id, self.store.load(id), self.store, self._is_due.set)
+                self._sessions[id] = Session(id, self.store.load(id), self.store, self.runs, self._is_due.set)
             return self._sessions[id]
 
     def pair(self, one: str, other: str) -> Pair:
@@ -145,6 +148,7 @@ class Studio:
         if session is not None:
             session.save()
             session.watch.close()
+        self.runs.check_idle(id)
         self.store.delete(id)
 
     def save(self) -> bool:

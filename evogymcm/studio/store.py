@@ -20,10 +20,14 @@ from evogymcm.studio.sketch import check_keys, check_text
 from evogymcm.studio.terrain import Terrain
 
 ID = re.compile(r"[a-z0-9](?:[a-z0-9-]{0,38}[a-z0-9])?")
+RUN = re.compile(r"(train|material|evolve)-([1-9][0-9]{0,3})")
+GAITS = {"sine": "Sine gait", "random": "Random actions", "still": "Neutral actions"}
+BASELINE = "baseline"
+_POLICY = re.compile(rf"{ID.pattern}/{RUN.pattern}(/policy-[0-9]{{4}})?")
 TERRAIN = "terrain"  # the task to walk in the terrain that is drawn
 LONGEST_NAME = 60
 LARGEST_FILE = 200_000  # bytes of a design
-_KEYS = ("name", "task", "material", "design", "terrain")
+_KEYS = ("name", "task", "material", "policy", "design", "terrain")
 
 
 @dataclass
@@ -34,6 +38,7 @@ class Design:
         name: Any text on one line.
         task: Id of its task, or "terrain" for its own.
         material: "invariant" or "reactive".
+        policy: What moves it: a gait, or a run of the studio, see `check_policy`.
         drawing: Body and stiffness.
         terrain: Its own world.
     """
@@ -41,6 +46,7 @@ class Design:
     name: str = "My robot"
     task: str = "Walker-v0"
     material: str = "invariant"
+    policy: str = "sine"
     drawing: Drawing = field(default_factory=Drawing.blank)
     terrain: Terrain = field(default_factory=Terrain.flat)
 
@@ -50,6 +56,7 @@ class Design:
             "name": self.name,
             "task": self.task,
             "material": self.material,
+            "policy": self.policy,
             "design": self.drawing.record(),
             "terrain": self.terrain.record(),
         }
@@ -67,6 +74,7 @@ class Design:
         design.rename(given.get("name", design.name))
         design.task = check_task(given.get("task", design.task))
         design.material = check_choice("material", given.get("material", design.material), ("invariant", "reactive"))
+        design.policy = check_policy(given.get("policy", design.policy))
         if given.get("terrain") is not None:
             design.terrain = Terrain.from_record(check_keys("terrain", given["terrain"], ("cells",)))
         return design
@@ -94,6 +102,16 @@ class Design:
         if not words or not words.isprintable():
             raise ValueError(f"name: got {brief(name)}, expected one line of text")
         self.name = words
+
+
+def check_policy(policy: object) -> str:
+    """Returns what moves a robot; ValueError where it is something else.
+
+    It is one of `GAITS`, "baseline", a run as "DESIGN/RUN", or one of its policies as "DESIGN/RUN/policy-0003".
+    """
+    if isinstance(policy, str) and (policy in (*GAITS, BASELINE) or _POLICY.fullmatch(policy)):
+        return policy
+    raise ValueError(f"policy: got {brief(policy)}, expected one of {', '.join(GAITS)}, {BASELINE}, or a run")
 
 
 def check_task(task: object) -> str:

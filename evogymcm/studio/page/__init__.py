@@ -6,6 +6,7 @@ from starlette.websockets import WebSocket
 from evogymcm.studio.page.compare import ComparePage
 from evogymcm.studio.page.draw import DrawPanel
 from evogymcm.studio.page.keep import Header, home
+from evogymcm.studio.page.learn import LearnPanel
 from evogymcm.studio.page.scene import stream
 from evogymcm.studio.page.start import design_list, first_design, new_dialog, shared_design
 from evogymcm.studio.page.theme import dress, icon_button
@@ -105,7 +106,8 @@ class DesignPage:
         with ui.element("main").classes("studio-main"):
             self._draw = DrawPanel(session, self._refresh)
             with ui.element("div").classes("studio-side"):
-                self._watch = WatchPanel(session, self._refresh)
+                self._watch = WatchPanel(studio.runs, session, self._refresh)
+                LearnPanel(studio.runs, session, self._refresh)
         ui.timer(_LOOK, self._tick)
 
     def _refresh(self) -> None:

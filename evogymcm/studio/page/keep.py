@@ -98,7 +98,10 @@ class Header:
     def text(self) -> str:
         """Returns the design as one line of text."""
         with self._session.lock:
-            return json.dumps(self._session.design.record(), separators=(",", ":"), ensure_ascii=False)
+            record = self._session.design.record()
+        if "/" in record["policy"]:
+            del record["policy"]  # runs stay where they are
+        return json.dumps(record, separators=(",", ":"), ensure_ascii=False)
 
     def _download_design(self) -> None:
         record = json.dumps(self._session.design.record(), indent=1, ensure_ascii=False)

@@ -73,8 +73,9 @@ def design_list(studio: Studio) -> None:
     def away(entry: Entry) -> None:
         try:
             studio.delete(entry.id)
-        except OSError as error:
-            ui.notify(f"It cannot be moved: {error.strerror}", type="negative")
+        except (ValueError, OSError) as error:
+            ui.notify(str(error), type="negative")
+            return
         ui.navigate.to("/designs")
 
     with ui.element("div").classes("studio-gallery"):

@@ -8,13 +8,13 @@ from nicegui import run, ui
 import evogymcm
 from evogymcm.studio.page.scene import SceneCanvas
 from evogymcm.studio.page.theme import SEGMENTS, icon_button
+from evogymcm.studio.runs import Runs
 from evogymcm.studio.sessions import Session
 from evogymcm.studio.store import TERRAIN, check_task
 
 if TYPE_CHECKING:
     from evogymcm.studio.player import Player
 
-_POLICIES = {"sine": "Sine gait", "random": "Random actions", "still": "Neutral actions"}
 _MATERIALS = {"invariant": "Invariant: stiffness is the body's", "reactive": "Reactive: the policy sets stiffness"}
 VIEWS_SHOWN = {"types": "Types", "stiffness": "Stiffness"}
 SLOWEST, FASTEST = 5, 200  # env-steps a second
@@ -24,12 +24,13 @@ class WatchPanel:
     """The panel.
 
     Args:
+        runs: Runs of all designs.
         session: The design.
         refresh: Shows a change everywhere on the page.
     """
 
-    def __init__(self, session: Session, refresh: Callable[[], None]) -> None:
-        self._session, self._refresh_page = session, refresh
+    def __init__(self, runs: Runs, session: Session, refresh: Callable[[], None]) -> None:
+        self._runs, self._session, self._refresh_page = runs, session, refresh
         with ui.element("section").classes("studio-card").props('aria-label="Watch"'):
             self._make_choices()
             self._scene = SceneCanvas(f"/live/{session.id}")
@@ -54,8 +55,9 @@ class WatchPanel:
             self._task = ui.select(options, value=design.task, label="Task", with_input=True)
             self._task.props("dense outlined options-dense").classes("studio-grow").style("min-width: 180px")
             self._task.mark("task").on_value_change(lambda event: self._choose_task(event.value))
-            self._policy = ui.select(dict(_POLICIES), value=self._session.policy, label="Moved by")
+            self._policy = ui.select(self._policies(), value=self._session.design.policy, label="Moved by")
             self._policy.props("dense outlined options-dense").style("min-width: 150px").mark("policy")
+            self._policy.on("popup-show", lambda: self._policy.set_options(self._policies()))
             self._policy.on_value_change(lambda event: self._choose_policy(event.value))
             self._material = ui.select(_MATERIALS, value=design.material, label="Material")
             self._material.props("dense outlined options-dense").style("min-width: 150px; max-width: 210px")
@@ -76,6 +78,12 @@ class WatchPanel:
             view.props(SEGMENTS + " dense").classes("studio-tabs").style("width: 160px").mark("view")
         self._set_speed(self._session.watch.speed)
 
+    def _policies(self) -> dict[str, str]:
+        """Returns what can be chosen, the present choice included."""
+        chosen = self._session.design.policy
+        found = self._runs.policies()
+        return found if chosen in found else found | {chosen: chosen.replace("/", ": ")}
+
     def _choose_task(self, task: str | None) -> None:
         if task is None or task == self._session.design.task:
             return
@@ -85,7 +93,7 @@ class WatchPanel:
         self._refresh_page()
 
     def _choose_policy(self, policy: str | None) -> None:
-        if policy is not None and policy != self._session.policy:
+        if policy is not None and policy != self._session.design.policy:
             self._session.drive(policy)
             self._refresh_page()
 
@@ -121,7 +129,9 @@ class WatchPanel:
     def refresh(self) -> None:
         """Shows the settings as they are."""
         design, watch = self._session.design, self._session.watch
-        self._task.value, self._material.value, self._policy.value = design.task, design.material, self._session.policy
+        if design.policy not in self._policy.options:
+            self._policy.set_options(self._policies())
+        self._task.value, self._material.value, self._policy.value = design.task, design.material, design.policy
         self._play.props(f"icon={'pause' if watch.plays else 'play_arrow'}")
 
     def tick(self) -> None:
