@@ -7,11 +7,8 @@ import time
 from unittest import mock
 from urllib.parse import quote
 
-import pytest
-
-pytest.importorskip("nicegui")
-
 import httpx
+import pytest
 from nicegui import ElementFilter, core, ui
 from nicegui.testing import User, user_simulation
 

@@ -5,8 +5,6 @@ import socket
 
 import pytest
 
-pytest.importorskip("nicegui")
-
 from evogymcm.__main__ import main
 from evogymcm.studio.store import Design, Store
 from tests.studio.server import serving
