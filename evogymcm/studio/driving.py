@@ -56,20 +56,23 @@ class Driver:
         task: The task.
         material: "invariant" or "reactive".
 
+    Attributes:
+        saved: The policy, where it is one of a run.
+
     Raises:
         ValueError: There is no such policy, or it was trained in the other setting.
     """
 
     def __init__(self, policy: Any, task: Task, material: str) -> None:
         self.task, self.material = task, material
-        self._saved: SavedPolicy | None = None
+        self.saved: SavedPolicy | None = None
         self._gait: Callable[[int], Gait] | None = None
         if policy == BASELINE:
             self._baseline = _find_baseline(task, material)
         elif isinstance(policy, str) and policy in _GAITS:
             self._gait = _GAITS[policy]
         else:
-            self._saved = _load(policy, material)
+            self.saved = _load(policy, material)
 
     def make(self, body: Body, stiffness: np.ndarray | None, seed: int) -> Made:
         """Returns one world with a design in it, before its first episode, and what moves it.
@@ -89,9 +92,9 @@ class Driver:
             return TaskEngine(self.task, [body], **options), self._gait(seed)
         from evogymcm.algos.learning.playing import as_gait
 
-        if self._saved is not None:
-            env = self._saved.make_env(1, task=self.task, bodies=[body], stiffness=field, **options)
-            module = self._saved.module(env)
+        if self.saved is not None:
+            env = self.saved.make_env(1, task=self.task, bodies=[body], stiffness=field, **options)
+            module = self.saved.module(env)
         else:
             from evogymcm.envs import SoftRobotEnv
 
