@@ -86,6 +86,13 @@ class Runs:
                     found[f"{entry.id}/{name}"] = f"{entry.name}: {label(name)}"
         return found
 
+    def title(self, policy: str) -> str:
+        """Returns what to call a policy, there or not."""
+        if "/" not in policy:
+            return GAITS.get(policy, "Baseline policy")
+        id, name, *rest = policy.split("/")
+        return f"{id}: {label(name)}" + (f", design {int(rest[0].split('-')[1])}" if rest else "")
+
     def latest(self, id: str, kind: str) -> "Job | None":
         """Returns the newest work of a kind on a design, None where there is none.
 
@@ -127,10 +134,8 @@ class Runs:
         from evogymcm.studio.learning import PPO, Learning
         from evogymcm.studio.watching import read_field
 
-        steps = check_count("env-steps", steps, 1000)
-        ppo = replace(PPO, total_steps=steps, eval_interval=min(PPO.eval_interval, max(steps // 4, 1)))
-        folder = self._new(id, TRAIN)
-        return self._start(Learning(folder, wanted.body, read_field(wanted), wanted.task, wanted.material, ppo))
+        design = (wanted.body, read_field(wanted), wanted.task, wanted.material)
+        return self._start(Learning(self._new(id, TRAIN), *design, _paced(PPO, steps)))
 
     def improve(self, id: str, wanted: "Wanted", rounds: int) -> "Job":
         """Begins to search a better stiffness field for what is seen, and returns the work; errors as `train`."""
@@ -144,8 +149,10 @@ class Runs:
         job = MaterialImprovement(folder, wanted.body, read_field(wanted), wanted.task, wanted.policy, search)
         return self._start(job)
 
-    def evolve(self, id: str, wanted: "Wanted", shape: tuple[int, int], population: int, budget: int) -> "Job":
-        """Begins to evolve bodies of a grid's shape for a task, and returns the work; errors as `train`."""
+    def evolve(
+        self, id: str, wanted: "Wanted", shape: tuple[int, int], population: int, budget: int, steps: int
+    ) -> "Job":
+        """Begins to evolve bodies of a grid's shape, each trained for so many env-steps; errors as `train`."""
         from evogymcm.studio.evolving import SMALL, Evolution
 
         if not (shape[0] >= 2 and shape[1] >= 2):
@@ -156,9 +163,16 @@ class Runs:
             "shape": shape,
             "population": check_count("population", population, 2),
             "budget": check_count("designs", budget),
+            "ppo": _paced(SMALL.ppo, steps),
         }
         config = replace(SMALL, **options)
         return self._start(Evolution(self._new(id, EVOLVE), config))
+
+
+def _paced(ppo: Any, steps: int) -> Any:
+    """Returns settings of PPO with so many env-steps, and some evaluations within them."""
+    steps = check_count("env-steps", steps, 1000)
+    return replace(ppo, total_steps=steps, eval_interval=min(ppo.eval_interval, steps // 4))
 
 
 def label(run: str) -> str:

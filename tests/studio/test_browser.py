@@ -186,7 +186,7 @@ def test_every_page_fits_its_window_and_works_by_keyboard(tmp_path, width):
         ActionChains(tab.driver).send_keys(Keys.DELETE, "r", Keys.ARROW_LEFT, " ").perform()
         tab.until(lambda: "R" in tab.find("textarea").get_attribute("value"))
         ActionChains(tab.driver).key_down(Keys.CONTROL).send_keys("z", "z").key_up(Keys.CONTROL).perform()
-        for name in ("Terrain", "Stiffness", "Body", "Improve material", "Evolve", "Train"):
+        for name in ("Terrain", "Stiffness", "Body", "Material", "Evolve", "Train"):
             tab.press(name)
             tab.check()
         base = server.address.split("/?")[0]

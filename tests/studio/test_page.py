@@ -2,17 +2,16 @@
 
 import asyncio
 import json
-import sys
 import time
-from unittest import mock
 from urllib.parse import quote
 
 import httpx
 import pytest
-from nicegui import ElementFilter, core, ui
+from nicegui import Client, ElementFilter, core, ui
 from nicegui.testing import User, user_simulation
 
 from evogymcm.studio.drawing import Drawing
+from evogymcm.studio.page import register
 from evogymcm.studio.sessions import Studio
 from evogymcm.studio.store import TERRAIN, Design, Store
 
@@ -25,19 +24,17 @@ def _studio(tmp_path):
 
 
 def visit(studio, act):
-    """Lets two tabs be used. NiceGUI forgets the modules that define pages, so they are kept."""
+    """Lets two tabs be used."""
 
     async def together():
         async with user_simulation() as user:
-            from evogymcm.studio.page import register
-
             register(studio)
             transport = httpx.ASGITransport(core.app)
             async with httpx.AsyncClient(transport=transport, base_url="http://test") as client:
                 await act(user, User(client))
+            Client.page_routes.clear()  # else NiceGUI would make Python forget the package, as the home of its pages
 
-    with mock.patch.dict(sys.modules):
-        asyncio.run(together())
+    asyncio.run(together())
 
 
 def element(user, marker):
@@ -230,3 +227,60 @@ def test_a_design_that_cannot_be_kept_says_so(studio, monkeypatch):
 
     visit(studio, act)
     assert studio.store.load(id).drawing.text.startswith("H")
+
+
+@pytest.mark.slow
+def test_a_policy_is_trained_its_material_improved_and_bodies_evolve(studio):
+    id = studio.store.add(Design(drawing=Drawing.of("HHH/V.V")))
+
+    async def act(user, other):
+        await user.open(f"/d/{id}")
+        session = studio.open(id)
+        element(user, "material-rounds").value = 2
+        element(user, "learn-tabs").value = "material"
+        await press(user, "material-start")
+        await user.should_see("It needs a trained policy", retries=50)
+        element(user, "learn-tabs").value = "train"
+        element(user, "train-steps").value = 1000
+        await press(user, "train-start")
+        await until(lambda: (studio.store.runs(id) / "train-1" / "final.pt").is_file(), 600)
+        await until(lambda: "finished" in element(user, "train-status").text)
+        assert len(element(user, "train-curve").options["series"][0]["data"]) >= 2
+        await other.open(f"/d/{id}")
+        await until(lambda: "finished" in element(other, "train-status").text)
+        assert session.design.policy == f"{id}/train-1"
+        await until(lambda: session.watch.player is not None and not session.watch.is_busy)
+        assert session.watch.problem is None
+        await press(user, "step", 0.5)
+        with pytest.raises(ValueError, match="policy"):
+            session.drive(f"../{id}/train-1")
+        element(user, "learn-tabs").value = "material"
+        await press(user, "material-start")
+        await until(lambda: "finished" in element(user, "material-status").text, 600)
+        assert "round 2 of 2" in element(user, "material-status").text
+        if element(user, "material-use").visible:
+            await press(user, "material-use")
+            assert session.design.drawing.has_stiffness
+        element(user, "learn-tabs").value = "evolve"
+        for name, value in (("population", 2), ("budget", 2), ("steps", 1000)):
+            element(user, f"evolve-{name}").value = value
+        await press(user, "evolve-start")
+        with pytest.raises(ValueError, match="running"):
+            await until(lambda: studio.runs.check_idle(id))
+        await until(lambda: "finished" in element(user, "evolve-status").text, 600)
+        nodes = element(user, "evolve-tree").options["series"][0]["data"]
+        assert [node["name"] for node in nodes] == ["0", "1"]
+        click = {"componentType": "series", "seriesType": "graph", "seriesIndex": 0, "seriesName": "", "dataIndex": 1}
+        user.find(marker="evolve-tree").trigger("componentClick", click | {"name": "1", "data": {}, "value": []})
+        assert session.design.policy == f"{id}/evolve-1/policy-0001"
+        assert session.design.drawing.body().shape == (2, 3)
+        await until(lambda: not session.watch.is_busy)
+        assert session.watch.problem is None
+
+    visit(studio, act)
+    again = Studio(studio.store)
+    session = again.open(id)
+    assert session.wanted().policy.endswith("policy-0001.pt")
+    again.delete(id)
+    assert not studio.store.runs(id).exists()
+    again.close()

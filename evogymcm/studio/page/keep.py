@@ -33,7 +33,8 @@ class Header:
             home()
             self._name = ui.input(value=session.design.name).props('dense borderless aria-label="name of the design"')
             self._name.classes("studio-name").mark("name").on("change", self._rename)
-            self._saved = ui.label().classes("studio-saved ellipsis").mark("saved")
+            self._kept = ui.icon("cloud_done").classes("studio-kept")
+            self._saved = ui.label().classes("studio-saved").mark("saved")
             ui.space()
             icon_button("add", "New design", lambda: new_dialog(studio), marker="new")
             icon_button("folder_open", "All designs", lambda: ui.navigate.to("/designs"), marker="designs")
@@ -41,6 +42,7 @@ class Header:
             icon_button("share", "Share", self._share, marker="share")
             with icon_button("download", "Files and videos", lambda: None, marker="export"), ui.menu():
                 self._make_exports()
+        self._alarm = ui.label().classes("studio-alarm").props("role=alert").mark("alarm")
         self.tick()
 
     def _make_exports(self) -> None:
@@ -146,12 +148,12 @@ class Header:
     def tick(self) -> None:
         """Shows whether the design is kept."""
         session = self._session
+        state = "not saved" if session.unsaved is not None else "saved" if session.is_saved else "saving …"
+        self._saved.set_text(state)
+        self._kept.set_name({"saved": "cloud_done", "saving …": "sync"}.get(state, "cloud_off"))
+        self._alarm.set_visibility(session.unsaved is not None)
         if session.unsaved is not None:
-            self._saved.set_text(f"NOT SAVED: {session.unsaved}. Keep this page open; it is tried again.")
-            self._saved.classes(add="text-negative")
-        else:
-            self._saved.set_text("saved" if session.is_saved else "saving …")
-            self._saved.classes(remove="text-negative")
+            self._alarm.set_text(f"NOT SAVED: {session.unsaved}. Keep this page open: it is tried again.")
 
 
 def home() -> None:

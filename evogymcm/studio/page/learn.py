@@ -42,7 +42,7 @@ class LearnPanel:
 
     def __init__(self, runs: Runs, session: Session, refresh: Callable[[], None]) -> None:
         with ui.element("section").classes("studio-card").props('aria-label="Learn"'):
-            tabs = ui.toggle({TRAIN: "Train", MATERIAL: "Improve material", EVOLVE: "Evolve"}, value=TRAIN)
+            tabs = ui.toggle({TRAIN: "Train", MATERIAL: "Material", EVOLVE: "Evolve"}, value=TRAIN)
             tabs.props(SEGMENTS + " spread").classes("studio-tabs").mark("learn-tabs")
             views = {kind: view(runs, session, refresh) for kind, view in _VIEWS.items()}
 
@@ -94,6 +94,7 @@ class _View:
     def results(self) -> None:
         """Makes what shows the results."""
         self._chart = ui.echart(curve_options(*self.axes)).classes("studio-chart").mark(f"{self.kind}-curve")
+        self._chart.set_visibility(False)
 
     def start(self) -> "Job":
         """Begins a new run; it is called in a thread."""
@@ -248,6 +249,8 @@ class _Evolving(_View):
         self._population.classes("w-24").mark("evolve-population")
         self._budget = ui.number("Designs", value=24, min=2, step=6, precision=0).props("dense outlined")
         self._budget.classes("w-24").mark("evolve-budget")
+        self._steps = ui.number("Env-steps each", value=20_000, min=1000, step=5000, precision=0)
+        self._steps.props("dense outlined").classes("w-32").mark("evolve-steps")
 
     def results(self) -> None:
         self._nodes: list[dict[str, Any]] = []
@@ -255,9 +258,12 @@ class _Evolving(_View):
         self._chart.mark("evolve-tree")
         self._hint = ui.label("Each robot stands at its score, a line leads to its parent; click one to draw it here.")
         self._hint.classes("studio-small")
+        for part in (self._chart, self._hint):
+            part.set_visibility(False)
 
     def start(self) -> "Job":
-        session, counts = self._session, (int(self._population.value or 0), int(self._budget.value or 0))
+        session = self._session
+        counts = [int(field.value or 0) for field in (self._population, self._budget, self._steps)]
         return self._runs.evolve(session.id, session.wanted(with_policy=False), session.design.drawing.shape, *counts)
 
     def words(self, status: dict[str, Any]) -> str:

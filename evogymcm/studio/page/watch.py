@@ -15,7 +15,7 @@ from evogymcm.studio.store import TERRAIN, check_task
 if TYPE_CHECKING:
     from evogymcm.studio.player import Player
 
-_MATERIALS = {"invariant": "Invariant: stiffness is the body's", "reactive": "Reactive: the policy sets stiffness"}
+_MATERIALS = {"invariant": "Invariant", "reactive": "Reactive"}
 VIEWS_SHOWN = {"types": "Types", "stiffness": "Stiffness"}
 SLOWEST, FASTEST = 5, 200  # env-steps a second
 
@@ -53,14 +53,17 @@ class WatchPanel:
         }
         with ui.element("div").classes("studio-bar"):
             self._task = ui.select(options, value=design.task, label="Task", with_input=True)
-            self._task.props("dense outlined options-dense").classes("studio-grow").style("min-width: 180px")
+            self._task.props("dense outlined options-dense").classes("studio-grow").style("flex: 3 1 200px")
             self._task.mark("task").on_value_change(lambda event: self._choose_task(event.value))
             self._policy = ui.select(self._policies(), value=self._session.design.policy, label="Moved by")
-            self._policy.props("dense outlined options-dense").style("min-width: 150px").mark("policy")
+            self._policy.props("dense outlined options-dense").style("flex: 1.5 1 150px").mark("policy")
             self._policy.on("popup-show", lambda: self._policy.set_options(self._policies()))
             self._policy.on_value_change(lambda event: self._choose_policy(event.value))
-            self._material = ui.select(_MATERIALS, value=design.material, label="Material")
-            self._material.props("dense outlined options-dense").style("min-width: 150px; max-width: 210px")
+            self._material = ui.select(_MATERIALS, value=design.material, label="Stiffness")
+            self._material.tooltip(
+                "Invariant: stiffness belongs to the body. Reactive: the policy sets it in every step."
+            )
+            self._material.props("dense outlined options-dense").style("flex: 1 1 110px")
             self._material.mark("material").on_value_change(lambda event: self._choose_material(event.value))
 
     def _make_controls(self) -> None:
@@ -82,7 +85,7 @@ class WatchPanel:
         """Returns what can be chosen, the present choice included."""
         chosen = self._session.design.policy
         found = self._runs.policies()
-        return found if chosen in found else found | {chosen: chosen.replace("/", ": ")}
+        return found if chosen in found else found | {chosen: self._runs.title(chosen)}
 
     def _choose_task(self, task: str | None) -> None:
         if task is None or task == self._session.design.task:
