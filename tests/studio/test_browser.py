@@ -41,7 +41,9 @@ class Tab:
 
     def press(self, label):
         path = f"//button[@aria-label='{label}' or .//*[normalize-space(text())='{label}']]"
-        button = next(one for one in self.driver.find_elements(By.XPATH, path) if one.is_displayed())
+        (button, *_) = self.until(
+            lambda: [one for one in self.driver.find_elements(By.XPATH, path) if one.is_displayed()]
+        )
         self.driver.execute_script("arguments[0].scrollIntoView({block: 'center'})", button)
         button.click()
         time.sleep(0.3)
