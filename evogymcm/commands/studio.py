@@ -15,7 +15,8 @@ It listens on 127.0.0.1 only, and answers only to a browser that has the key of 
 
 examples:
   evogymcm studio
-  evogymcm studio my-robots --port 8700 --no-browser"""
+  evogymcm studio my-robots --policy runs/first
+  evogymcm studio --port 8700 --no-browser"""
 
 
 @dataclass(frozen=True)
@@ -24,11 +25,13 @@ class Options:
 
     Attributes:
         folder: where designs and runs are kept; made where there is none.
+        policy: folders of training runs elsewhere whose policies may move robots too.
         port: to listen on; 0 takes a free one.
         no_browser: only show the address.
     """
 
     folder: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="FOLDER")] = Path("evogymcm-studio")
+    policy: Annotated[tuple[Path, ...], tyro.conf.arg(metavar="RUN", help_behavior_hint="")] = ()
     port: int = 8420
     no_browser: bool = False
 
@@ -38,7 +41,7 @@ def run(options: Options, arguments: Sequence[str]) -> int:
     from evogymcm.studio.server import serve
 
     with checking_arguments():
-        serve(options.folder, options.port, show=not options.no_browser, tell=_tell)
+        serve(options.folder, options.port, policies=options.policy, show=not options.no_browser, tell=_tell)
     return 0
 
 

@@ -35,7 +35,7 @@ class Drawing(Sketch):
         ValueError: Codes or factors are others, the shapes differ, or the grid is larger.
     """
 
-    chars = BODY_CHARS
+    _chars = BODY_CHARS
 
     def __init__(self, grid: ArrayLike, stiffness: ArrayLike | None = None) -> None:
         super().__init__(grid)
@@ -108,7 +108,7 @@ class Drawing(Sketch):
             ValueError: The cell is outside the grid, or the value outside [0.5, 2].
         """
         field = self.stiffness
-        field[self.check_cell(row, col)] = check_factor(value)
+        field[self._check_cell(row, col)] = check_factor(value)
         self._set_field(field)
 
     def fill_stiffness(self, row: int, col: int, value: float) -> None:
@@ -117,7 +117,7 @@ class Drawing(Sketch):
         Raises:
             ValueError: As `paint_stiffness`.
         """
-        cell, value = self.check_cell(row, col), check_factor(value)
+        cell, value = self._check_cell(row, col), check_factor(value)
         pieces = self.pieces()
         self._set_field(np.where((pieces == pieces[cell]) & (pieces > 0), value, self._layers[1]))
 
@@ -133,7 +133,7 @@ class Drawing(Sketch):
         Raises:
             ValueError: A cell is outside the grid, or a factor outside [0.5, 2].
         """
-        first, last = np.array(self.check_cell(*start)), np.array(self.check_cell(*end))
+        first, last = np.array(self._check_cell(*start)), np.array(self._check_cell(*end))
         low, high = check_factor(low), check_factor(high)
         way = (last - first).astype(float)
         places = np.moveaxis(np.indices(self.shape), 0, -1) - first

@@ -1,5 +1,7 @@
 """The runs of designs: their folders within the studio's, the policies in them, and the work that goes on in them."""
 
+import os
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -24,10 +26,21 @@ class Runs:
 
     Args:
         store: The folder.
+        given: Folders of runs elsewhere, or files of policies, that may be used too.
+
+    Raises:
+        ValueError: One of those given is not there.
     """
 
-    def __init__(self, store: Store) -> None:
+    def __init__(self, store: Store, given: Sequence[str | os.PathLike[str]] = ()) -> None:
         self._store = store
+        self._given: dict[str, Path] = {}
+        for path in map(Path, given):
+            if not path.exists():
+                raise ValueError(f"policy: there is no {path}")
+            name = path.resolve().name
+            alike = sum(other.name == name for other in self._given.values())
+            self._given[f"given:{name}{f' ({alike + 1})' if alike else ''}"] = path.resolve()
         self._jobs: dict[Path, Job] = {}
 
     def names(self, id: str, kind: str | None = None) -> list[str]:
@@ -59,9 +72,15 @@ class Runs:
         A run that has none yet gives a sine gait.
 
         Raises:
-            ValueError: It is no policy, or of no run.
+            ValueError: It is no policy, of no run, or was not given.
         """
-        if "/" not in check_policy(policy):
+        if check_policy(policy).startswith("given:"):
+            if policy not in self._given:
+                raise ValueError(f"policy: {title_of_given(policy)} was not given to this studio (--policy)")
+            path = self._given[policy]
+            files = [path / file for file in _FILES if (path / file).is_file()] or [path]
+            return str(path), files[0].stat().st_mtime_ns
+        if "/" not in policy:
             return policy, 0
         id, name, *rest = policy.split("/")
         folder = self.folder(id, name)
@@ -80,6 +99,7 @@ class Runs:
         found = dict(GAITS)
         if hasattr(evogymcm, BASELINE):
             found[BASELINE] = "Baseline policy"
+        found |= {policy: title_of_given(policy) for policy in self._given}
         for entry in self._store.entries():
             for name in self.names(entry.id, TRAIN):
                 if any((self.folder(entry.id, name) / file).is_file() for file in _FILES):
@@ -88,6 +108,8 @@ class Runs:
 
     def title(self, policy: str) -> str:
         """Returns what to call a policy, there or not."""
+        if policy.startswith("given:"):
+            return title_of_given(policy)
         if "/" not in policy:
             return GAITS.get(policy, "Baseline policy")
         id, name, *rest = policy.split("/")
@@ -142,7 +164,7 @@ class Runs:
         from evogymcm.studio.improving import SEARCH, MaterialImprovement
         from evogymcm.studio.watching import read_field
 
-        if not Path(wanted.policy).is_file():
+        if wanted.policy in (*GAITS, BASELINE):
             raise ValueError("It needs a trained policy: train first, and choose it under “Moved by”.")
         search = replace(SEARCH, rounds=check_count("rounds", rounds))
         folder = self._new(id, MATERIAL)
@@ -173,6 +195,11 @@ def _paced(ppo: Any, steps: int) -> Any:
     """Returns settings of PPO with so many env-steps, and some evaluations within them."""
     steps = check_count("env-steps", steps, 1000)
     return replace(ppo, total_steps=steps, eval_interval=min(ppo.eval_interval, steps // 4))
+
+
+def title_of_given(policy: str) -> str:
+    """Returns what a policy is called that the studio was given."""
+    return f"Run {policy.removeprefix('given:')}"
 
 
 def label(run: str) -> str:

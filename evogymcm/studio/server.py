@@ -4,8 +4,9 @@ import html
 import logging
 import os
 import socket
+import threading
 import webbrowser
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,18 +21,26 @@ from evogymcm.studio.store import Store
 _GRACE = 2  # seconds that open connections have when the server ends
 
 
-def serve(folder: str | os.PathLike[str], port: int, *, show: bool, tell: Callable[[str], None]) -> None:
+def serve(
+    folder: str | os.PathLike[str],
+    port: int,
+    *,
+    policies: Sequence[str | os.PathLike[str]] = (),
+    show: bool,
+    tell: Callable[[str], None],
+) -> None:
     """Serves the studio of a folder until it is interrupted.
 
     Args:
         folder: Where designs are kept.
         port: To listen on, at 127.0.0.1; 0 takes a free one.
+        policies: Folders of runs elsewhere whose policies may be used too.
         show: Whether to open a browser.
         tell: Called with the address, which holds the key, once the server listens.
 
     Raises:
         ImportError: NiceGUI is not installed.
-        ValueError: The folder or the port cannot be used, or another studio has the folder open.
+        ValueError: The folder or the port cannot be used, another studio has the folder open, or a run is missing.
     """
     os.environ.setdefault("NICEGUI_STORAGE_PATH", str(Path(folder).expanduser().resolve() / ".nicegui"))
     load_extra("nicegui", "the studio needs NiceGUI, which cannot be imported", "studio")
@@ -45,7 +54,7 @@ def serve(folder: str | os.PathLike[str], port: int, *, show: bool, tell: Callab
         number = listening.getsockname()[1]
         key = load_key(store.folder)
         address = f"http://{HOST}:{number}/?{KEY}={key}"
-        studio = Studio(store)
+        studio = Studio(store, policies)
         try:
             server = _make_server(studio, number, key, lambda: _opened(store.folder, address, show, tell))
             server.run(sockets=[listening])
@@ -110,4 +119,4 @@ def _opened(folder: Path, address: str, show: bool, tell: Callable[[str], None])
         part.write_text(page, encoding="utf-8")
 
     write_atomic(path, write)
-    webbrowser.open(path.as_uri())
+    threading.Thread(target=webbrowser.open, args=(path.as_uri(),), daemon=True).start()  # some wait for their end

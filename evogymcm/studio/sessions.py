@@ -1,8 +1,9 @@
 """Designs that are open: one session each, whatever tabs show it; a thread saves them soon after each change."""
 
 import logging
+import os
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from evogymcm.studio.comparing import Pair
 from evogymcm.studio.runs import Runs
@@ -33,6 +34,7 @@ class Session:
         self.lock = threading.RLock()
         self.watch = Watch()
         self._store, self._runs, self._wake = store, runs, wake
+        self._looked: object = None  # of which version and policy the robot is shown
 
     @property
     def is_saved(self) -> bool:
@@ -74,8 +76,12 @@ class Session:
         Where it cannot, the last robot that could goes on.
         """
         try:
-            self.watch.want(self.wanted())
+            look = self.version, self._runs.policy(self.design.policy)
+            if look != self._looked:  # it is asked for often, and seldom has anything changed
+                self.watch.want(self.wanted())
+                self._looked = look
         except (ValueError, OSError) as error:
+            self._looked = None
             return str(error)
         return None
 
@@ -106,10 +112,11 @@ class Studio:
 
     Args:
         store: The folder.
+        given: Runs elsewhere whose policies may be used too, see `Runs`.
     """
 
-    def __init__(self, store: Store) -> None:
-        self.store, self.runs = store, Runs(store)
+    def __init__(self, store: Store, given: Sequence[str | os.PathLike[str]] = ()) -> None:
+        self.store, self.runs = store, Runs(store, given)
         self._sessions: dict[str, Session] = {}
         self._pairs: dict[tuple[str, str], Pair] = {}
         self._lock = threading.Lock()

@@ -24,14 +24,14 @@ class Sketch:
         grid: Cell codes of shape (rows, cols), first row on top.
 
     Raises:
-        ValueError: The grid holds other codes, or has more cells than `largest`.
+        ValueError: The grid holds other codes, or has more cells than 10 x 10 (30 x 100 for terrain).
     """
 
-    chars = CELL_CHARS  # of the codes that may be drawn, from 0 on
-    smallest, largest = (1, 1), (10, 10)  # rows and columns
+    _chars = CELL_CHARS  # of the codes that may be drawn, from 0 on
+    _smallest, _largest = (1, 1), (10, 10)  # rows and columns
 
     def __init__(self, grid: ArrayLike) -> None:
-        cells = check_grid(grid, len(self.chars))
+        cells = check_grid(grid, len(self._chars))
         self._check_shape(cells.shape)
         self._layers: list[NDArray[Any]] = self._make_layers(cells)
         self._past: list[list[NDArray[Any]]] = []
@@ -44,7 +44,7 @@ class Sketch:
 
     @classmethod
     def _check_shape(cls, shape: tuple[int, ...]) -> tuple[int, int]:
-        (low_rows, low_cols), (rows, cols) = cls.smallest, cls.largest
+        (low_rows, low_cols), (rows, cols) = cls._smallest, cls._largest
         if not (low_rows <= shape[0] <= rows and low_cols <= shape[1] <= cols):
             raise ValueError(
                 f"size: got {shape[0]} rows, {shape[1]} columns, allowed are {low_rows} to {rows} rows, "
@@ -80,7 +80,7 @@ class Sketch:
             ValueError: The rows differ in length, hold other characters, or are too many or too long.
         """
         rows = [row.strip() for row in text.strip().replace("/", "\n").split("\n")]
-        cells = grid_from_rows(rows, self.chars)
+        cells = grid_from_rows(rows, self._chars)
         self._check_shape(cells.shape)
         with self.stroke():
             self._layers = self._refit(cells)
@@ -143,17 +143,17 @@ class Sketch:
         self._layers = source.pop()
         return True
 
-    def check_cell(self, row: int, col: int) -> tuple[int, int]:
+    def _check_cell(self, row: int, col: int) -> tuple[int, int]:
         """Returns the cell; ValueError where it is outside the grid."""
         rows, cols = self.shape
         if not (0 <= row < rows and 0 <= col < cols):
             raise ValueError(f"cell: got row {row}, column {col}, expected one of {rows} rows and {cols} columns")
         return int(row), int(col)
 
-    def check_code(self, code: int) -> int:
+    def _check_code(self, code: int) -> int:
         """Returns the cell code; ValueError where it may not be drawn."""
-        if not 0 <= code < len(self.chars) or self.chars[code] == " ":
-            raise ValueError(f"cell code: got {code}, allowed are those of {self.chars.replace(' ', '')!r}")
+        if not 0 <= code < len(self._chars) or self._chars[code] == " ":
+            raise ValueError(f"cell code: got {code}, allowed are those of {self._chars.replace(' ', '')!r}")
         return int(code)
 
     def paint(self, row: int, col: int, code: int) -> None:
@@ -162,7 +162,7 @@ class Sketch:
         Raises:
             ValueError: The cell is outside the grid, or the code is none of the sketch's.
         """
-        self._put(np.zeros(self.shape, bool), self.check_cell(row, col), self.check_code(code))
+        self._put(np.zeros(self.shape, bool), self._check_cell(row, col), self._check_code(code))
 
     def _put(self, cells: NDArray[np.bool_], cell: tuple[int, int], code: int) -> None:
         cells[cell] = True
@@ -177,7 +177,7 @@ class Sketch:
         Raises:
             ValueError: As `paint`.
         """
-        cell, code = self.check_cell(row, col), self.check_code(code)
+        cell, code = self._check_cell(row, col), self._check_code(code)
         alike = self._layers[0] == self._layers[0][cell]
         self._put(label_pieces(alike) == label_pieces(alike)[cell], cell, code)
 

@@ -23,7 +23,7 @@ ID = re.compile(r"[a-z0-9](?:[a-z0-9-]{0,38}[a-z0-9])?")
 RUN = re.compile(r"(train|material|evolve)-([1-9][0-9]{0,3})")
 GAITS = {"sine": "Sine gait", "random": "Random actions", "still": "Neutral actions"}
 BASELINE = "baseline"
-_POLICY = re.compile(rf"{ID.pattern}/{RUN.pattern}(/policy-[0-9]{{4}})?")
+_POLICY = re.compile(rf"{ID.pattern}/{RUN.pattern}(/policy-[0-9]{{4}})?|given:[^/\n]{{1,200}}")
 TERRAIN = "terrain"  # the task to walk in the terrain that is drawn
 LONGEST_NAME = 60
 LARGEST_FILE = 200_000  # bytes of a design
@@ -107,7 +107,8 @@ class Design:
 def check_policy(policy: object) -> str:
     """Returns what moves a robot; ValueError where it is something else.
 
-    It is one of `GAITS`, "baseline", a run as "DESIGN/RUN", or one of its policies as "DESIGN/RUN/policy-0003".
+    It is one of `GAITS`, "baseline", a run as "DESIGN/RUN", one of its policies as "DESIGN/RUN/policy-0003", or a run
+    that the studio was given, as "given:NAME".
     """
     if isinstance(policy, str) and (policy in (*GAITS, BASELINE) or _POLICY.fullmatch(policy)):
         return policy

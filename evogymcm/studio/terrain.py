@@ -25,8 +25,8 @@ class Terrain(Sketch):
         ValueError: It holds other codes, or is larger than 30 x 100.
     """
 
-    smallest, largest = (4, 10), (30, 100)
-    codes = (FIXED, RIGID, SOFT, EMPTY)
+    _smallest, _largest = (4, 10), (30, 100)
+    _codes = (FIXED, RIGID, SOFT, EMPTY)
 
     @classmethod
     def flat(cls, rows: int = 12, cols: int = 40) -> "Terrain":
@@ -47,7 +47,7 @@ class Terrain(Sketch):
         robot = world.find_robot()
         world = world if robot is None else world.without(robot.name)
         top = max((obj.end[1] for obj in world.objects), default=0)
-        grid = np.zeros(cls._check_shape((max(top + 6, cls.smallest[0]), max(world.width, cls.smallest[1]))), np.int8)
+        grid = np.zeros(cls._check_shape((max(top + 6, cls._smallest[0]), max(world.width, cls._smallest[1]))), np.int8)
         for obj in world.objects:
             (x, y), (right, end) = obj.origin, obj.end
             part = grid[len(grid) - end : len(grid) - y, x:right]
@@ -56,10 +56,10 @@ class Terrain(Sketch):
             raise ValueError("world: only the robot may have actuators")
         return cls(grid)
 
-    def check_code(self, code: int) -> int:
+    def _check_code(self, code: int) -> int:
         """Returns the cell code; ValueError where it may not be drawn."""
-        if code not in self.codes:
-            raise ValueError(f"cell code: got {code}, allowed are {', '.join(map(str, self.codes))}")
+        if code not in self._codes:
+            raise ValueError(f"cell code: got {code}, allowed are {', '.join(map(str, self._codes))}")
         return int(code)
 
     def write(self, text: str) -> None:

@@ -1,8 +1,10 @@
 """The studio in a browser, as its user has it: drawn with mouse or finger, watched, trained, and all still there."""
 
+import json
 import shutil
 import time
 from contextlib import contextmanager
+from urllib.parse import urlencode
 
 import pytest
 from selenium import webdriver
@@ -193,7 +195,10 @@ def test_every_page_fits_its_window_and_works_by_keyboard(tmp_path, width):
             tab.check()
         base = server.address.split("/?")[0]
         first = tab.driver.current_url.split("/d/")[1]
-        tab.driver.get(f'{base}/open?design={{"design": {{"body": "HHVV/S..R"}}}}')
+        evil = "<img src=x onerror=alert(1)>"  # as the name of a design that somebody shares
+        design = {"name": evil, "design": {"body": "HHVV/S..R"}}
+        tab.driver.get(f"{base}/open?{urlencode({'design': json.dumps(design)})}")
+        tab.says(evil)
         tab.press("Keep it and open")
         tab.says("A body: 6 voxels")
         second = tab.driver.current_url.split("/d/")[1]

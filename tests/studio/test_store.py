@@ -25,7 +25,7 @@ def wait_for(condition, seconds=10.0):
 
 
 def test_a_design_comes_back_as_it_was(store):
-    design = Design("Räd <b>bot</b>", "Climber-v0", "reactive", Drawing.of("Walk_Bot"))
+    design = Design("Räd <b>bot</b>", "Climber-v0", "reactive", "random", Drawing.of("Walk_Bot"))
     design.drawing.gradient((0, 0), (0, 4), 0.5, 2.0)
     design.terrain.paint(3, 3, 5)
     id = store.add(design)
