@@ -90,6 +90,11 @@ class Learning(Job):
         return train(self.config, run=run, should_stop=should_stop, num_threads=threads).finished
 
     @property
+    def has_finished(self) -> bool:
+        """Whether the folder holds the last policy."""
+        return (self.folder / "final.pt").is_file()
+
+    @property
     def policy(self) -> Path | None:
         """The newest policy, which `Player` takes; None before the first evaluation."""
         names = ("final.pt", "checkpoint.pt")
