@@ -74,6 +74,21 @@ def test_learning_is_a_training_run_that_stops_and_goes_on(sprint):
     assert table(alone) == table(found)
 
 
+def test_learning_may_begin_with_the_policy_of_another_body(sprint):
+    first = Learning("first", BODY, FIELD, sprint, ppo=replace(PPO, total_steps=64, hidden=6))
+    work_here(first)
+    given = load_policy("first").state["actor"]["heads.weight"]
+    second = Learning("second", "HHHH/V..V", None, sprint, ppo=PPO, initial="first")
+    assert second.config.ppo.hidden == 6
+    assert not work_here(second, stop_after=1)  # before an update
+    now = load_policy(second.policy).state["actor"]["heads.weight"]
+    assert now.tolist() == given.tolist()
+    assert work_here(Learning.open("second"))
+    for initial, options in (("sine", {}), ("first", {"material": "reactive"}), ("first", {"task": "Carrier-v0"})):
+        with pytest.raises(ValueError, match=r"initial|material|task features"):
+            Learning("third", BODY, **({"task": sprint} | options), initial=initial).start()
+
+
 @pytest.mark.parametrize("policy", ["sine", "run"])
 def test_improvement_never_loses_score_and_goes_on_where_it_was(sprint, policy):
     if policy == "run":
