@@ -66,6 +66,11 @@ class Evolution(Job):
         keep_freed_memory()
         return codesign(self.config, run=run, progress=lambda now: tell(vars(now)), should_stop=should_stop).finished
 
+    @property
+    def has_finished(self) -> bool:
+        """Whether the budget is used."""
+        return bool(self.files.read_json("result.json").get("finished"))
+
     def progress(self, told: Mapping[str, Any]) -> dict[str, Any]:
         """Returns how far it is.
 

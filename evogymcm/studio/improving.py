@@ -151,6 +151,11 @@ class MaterialImprovement(Job):
             search.tell(worth)
             steps += spent
 
+    @property
+    def has_finished(self) -> bool:
+        """Whether all rounds are over."""
+        return len(self.files.rows()) > self.config.search.rounds
+
     def progress(self, told: Mapping[str, Any]) -> dict[str, Any]:
         """Returns how far it is.
 

@@ -140,8 +140,9 @@ class Player:
         """
         with self._changing:
             driver = Driver(policy, self._task, self._driver.material)
+            made = driver.make(self._stage.body, self._stage.field, self._seed)
             with self._stepping:
-                self._stage.drive(driver, self._seed)
+                self._stage.drive(driver, made, self._seed)
                 self._driver = driver
 
     def frame(self, aspect: float = 2.0) -> dict[str, Any]:

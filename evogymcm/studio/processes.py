@@ -90,6 +90,11 @@ class Job(ABC):
         return job
 
     @property
+    @abstractmethod
+    def has_finished(self) -> bool:
+        """Whether the folder holds the end of the work."""
+
+    @property
     def files(self) -> RunFiles:
         """The run's files, for reading."""
         return RunFiles(self.folder)
@@ -184,6 +189,8 @@ class Job(ABC):
         state, error = told.pop("state", None), told.pop("error", None)
         if running:
             state, error = "stopping" if self._stop_file.exists() else "running", None
+        elif self.has_finished:
+            state, error = "finished", None
         elif state == "running":
             state, error = "killed", self._last_words()
         elif state is None:

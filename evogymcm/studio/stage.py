@@ -13,7 +13,7 @@ from evogymcm.envs.dealing import on_grid
 from evogymcm.envs.render.renderer import FPS
 from evogymcm.envs.render.scenery import Camera, Parts, make_parts, stretches
 from evogymcm.sim.constants import VOXEL
-from evogymcm.studio.driving import Driver
+from evogymcm.studio.driving import Driver, Made
 
 if TYPE_CHECKING:
     from evogymcm.algos.learning.playing import Episodes, Gait
@@ -161,14 +161,9 @@ class Stage:
         self.engine, self._gait = engine, gait
         engine.set_seed(seed)  # the first episode begins with it, as in an environment
 
-    def drive(self, driver: Driver, seed: int) -> None:
-        """Lets something else move the robot from now on, within the episode.
-
-        Raises:
-            ValueError: It cannot move this one; nothing has changed then.
-        """
-        engine, gait = driver.make(self.body, self.field, seed)
-        self._driver = driver
+    def drive(self, driver: Driver, made: Made, seed: int) -> None:
+        """Lets something else move the robot from now on, within the episode; `made` is by it and of this design."""
+        self._driver, (engine, gait) = driver, made
         if engine.simulator.edge_rule != self.engine.simulator.edge_rule:  # the body moves otherwise
             self._take(engine, gait, seed)
             self._begin()

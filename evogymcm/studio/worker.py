@@ -66,11 +66,10 @@ def main(kind: str, folder: Path) -> int:
 
 def _in_words(error: BaseException, folder: Path) -> str:
     """Returns an error as people read it; torch does not say that a disk is full."""
-    text = str(error) if isinstance(error, ValueError | OSError) else f"{type(error).__name__}: {error}"
     with contextlib.suppress(OSError):
         if isinstance(error, OSError | RuntimeError) and shutil.disk_usage(folder).free < _LITTLE:
-            return f"there is no room left on the disk; make some, then go on ({text})"
-    return text
+            return "there is no room left on the disk; make some, then go on"
+    return str(error) if isinstance(error, ValueError | OSError) else f"{type(error).__name__}: {error}"
 
 
 if __name__ == "__main__":
