@@ -147,7 +147,7 @@ class Runs:
         return job
 
     def train(self, id: str, wanted: "Wanted", steps: int) -> "Job":
-        """Begins to train a policy for what is seen, and returns the work.
+        """Begins to train a policy for what is seen, from the policy that moves it if that is of a run.
 
         Raises:
             ValueError: It cannot be trained so.
@@ -157,7 +157,8 @@ class Runs:
         from evogymcm.studio.watching import read_field
 
         design = (wanted.body, read_field(wanted), wanted.task, wanted.material)
-        return self._start(Learning(self._new(id, TRAIN), *design, _paced(PPO, steps)))
+        initial = None if wanted.policy in (*GAITS, BASELINE) else wanted.policy
+        return self._start(Learning(self._new(id, TRAIN), *design, _paced(PPO, steps), initial))
 
     def improve(self, id: str, wanted: "Wanted", rounds: int) -> "Job":
         """Begins to search a better stiffness field for what is seen, and returns the work; errors as `train`."""

@@ -33,6 +33,7 @@ class Sketch:
     def __init__(self, grid: ArrayLike) -> None:
         cells = check_grid(grid, len(self._chars))
         self._check_shape(cells.shape)
+        self._check_codes(cells)
         self._layers: list[NDArray[Any]] = self._make_layers(cells)
         self._past: list[list[NDArray[Any]]] = []
         self._future: list[list[NDArray[Any]]] = []
@@ -51,6 +52,10 @@ class Sketch:
                 f"{low_cols} to {cols} columns"
             )
         return int(shape[0]), int(shape[1])
+
+    @classmethod
+    def _check_codes(cls, cells: Grid) -> None:
+        """Raises a ValueError where some codes may not be drawn."""
 
     @property
     def grid(self) -> Grid:
@@ -82,6 +87,7 @@ class Sketch:
         rows = [row.strip() for row in text.strip().replace("/", "\n").split("\n")]
         cells = grid_from_rows(rows, self._chars)
         self._check_shape(cells.shape)
+        self._check_codes(cells)
         with self.stroke():
             self._layers = self._refit(cells)
 
@@ -152,8 +158,8 @@ class Sketch:
 
     def _check_code(self, code: int) -> int:
         """Returns the cell code; ValueError where it may not be drawn."""
-        if not 0 <= code < len(self._chars) or self._chars[code] == " ":
-            raise ValueError(f"cell code: got {code}, allowed are those of {self._chars.replace(' ', '')!r}")
+        if not 0 <= code < len(self._chars):
+            raise ValueError(f"cell code: got {code}, allowed are 0 to {len(self._chars) - 1}")
         return int(code)
 
     def paint(self, row: int, col: int, code: int) -> None:

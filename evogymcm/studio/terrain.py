@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from evogymcm._grid import EMPTY, FIXED, H_ACT, RIGID, SOFT, V_ACT
+from evogymcm._grid import EMPTY, FIXED, H_ACT, RIGID, SOFT, V_ACT, Grid
 from evogymcm.envs.tasks.walking import Walking
 from evogymcm.envs.terrain import walking_task
 from evogymcm.sim.world import World, WorldObject
@@ -27,6 +27,11 @@ class Terrain(Sketch):
 
     _smallest, _largest = (4, 10), (30, 100)
     _codes = (FIXED, RIGID, SOFT, EMPTY)
+
+    @classmethod
+    def _check_codes(cls, cells: Grid) -> None:
+        if np.isin(cells, (H_ACT, V_ACT)).any():
+            raise ValueError("terrain: actuators (H, V) are for robots, allowed are '.', 'F', 'R' and 'S'")
 
     @classmethod
     def flat(cls, rows: int = 12, cols: int = 40) -> "Terrain":
@@ -52,8 +57,6 @@ class Terrain(Sketch):
             (x, y), (right, end) = obj.origin, obj.end
             part = grid[len(grid) - end : len(grid) - y, x:right]
             part[obj.grid != EMPTY] = obj.grid[obj.grid != EMPTY]
-        if np.isin(grid, (H_ACT, V_ACT)).any():
-            raise ValueError("world: only the robot may have actuators")
         return cls(grid)
 
     def _check_code(self, code: int) -> int:
@@ -61,12 +64,6 @@ class Terrain(Sketch):
         if code not in self._codes:
             raise ValueError(f"cell code: got {code}, allowed are {', '.join(map(str, self._codes))}")
         return int(code)
-
-    def write(self, text: str) -> None:
-        """Replaces the cells by those of a text, see `Sketch.write`; actuators are for robots."""
-        if set(text) & {"H", "V"}:
-            raise ValueError("terrain: H and V are for robots, allowed are '.', 'F', 'R' and 'S'")
-        super().write(text)
 
     def world(self) -> World:
         """Returns the world that is drawn.

@@ -159,8 +159,10 @@ def test_terrain_is_a_world_to_walk_in():
     for code in (H, V, 9):
         with pytest.raises(ValueError, match="cell code"):
             terrain.paint(0, 0, code)
-    with pytest.raises(ValueError, match="robots"):
-        terrain.write("H" * 10)
+    rows = "\n".join(["H" * 10] * 4)
+    for make in (terrain.write, lambda text: Terrain(np.full((4, 10), V))):
+        with pytest.raises(ValueError, match="robots"):
+            make(rows)
 
 
 def test_most_worlds_of_the_package_are_a_start():

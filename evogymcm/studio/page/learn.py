@@ -192,10 +192,12 @@ class _Training(_View):
     def settings(self) -> None:
         self._steps = ui.number("Env-steps", value=300_000, min=1000, step=10_000, precision=0)
         self._steps.props("dense outlined").classes("w-32").mark("train-steps")
+        self._goes_on = ui.checkbox("from the policy above").props("dense").classes("studio-small")
+        self._goes_on.tooltip("Begin with the trained policy that moves the robot, not anew").mark("train-goes-on")
 
     def start(self) -> "Job":
         session = self._session
-        job = self._runs.train(session.id, session.wanted(with_policy=False), int(self._steps.value or 0))
+        job = self._runs.train(session.id, session.wanted(with_policy=self._goes_on.value), int(self._steps.value or 0))
         session.drive(f"{session.id}/{job.folder.name}")
         return job
 
