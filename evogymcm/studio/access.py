@@ -69,7 +69,8 @@ class Access:
         allowed = [f"http://{hosts[0].lower()}"]
         if len(origins) > 1 or [origin.lower() for origin in origins] not in ([], allowed):
             return 403, "pages of other origins may not use the studio"
-        if _values(headers, b"sec-fetch-site") == ["cross-site"] and not _is_visit(scope):
+        sites = _values(headers, b"sec-fetch-site")  # other ports are the same site
+        if not set(sites) <= {"same-origin", "none"} and not _is_visit(scope):
             return 403, "pages of other sites may not use the studio"
         if _escapes(scope.get("raw_path") or scope["path"].encode()):
             return 400, "this path leads out of the studio"

@@ -184,8 +184,8 @@ class Sketch:
             ValueError: As `paint`.
         """
         cell, code = self._check_cell(row, col), self._check_code(code)
-        alike = self._layers[0] == self._layers[0][cell]
-        self._put(label_pieces(alike) == label_pieces(alike)[cell], cell, code)
+        patches = label_pieces(self._layers[0] == self._layers[0][cell])
+        self._put(patches == patches[cell], cell, code)
 
     def mirror(self, *, upside_down: bool = False) -> None:
         """Swaps left and right, or top and bottom."""

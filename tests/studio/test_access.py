@@ -74,6 +74,7 @@ def test_the_own_page_gets_through(kind):
         (browser(origin=b"null"), 403),
         (browser(origin=b""), 403),
         (browser(origin=None, sec_fetch_site=b"cross-site"), 403),
+        (browser(origin=None, sec_fetch_site=b"same-site", sec_fetch_mode=b"no-cors"), 403),
         (browser(cookie=None), 401),
         (browser(cookie=b"evogymcm-studio-8420="), 401),
         (browser(cookie=b"evogymcm-studio-8420=" + b"x" * 43), 401),

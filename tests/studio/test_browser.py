@@ -3,11 +3,12 @@
 import json
 import shutil
 import time
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from urllib.parse import urlencode
 
 import pytest
 from selenium import webdriver
+from selenium.common.exceptions import NoSuchElementException, StaleElementReferenceException
 from selenium.webdriver.common.action_chains import ActionChains
 from selenium.webdriver.common.actions.action_builder import ActionBuilder
 from selenium.webdriver.common.actions.interaction import POINTER_TOUCH
@@ -75,14 +76,20 @@ class Tab:
         time.sleep(0.5)
 
     def until(self, condition, seconds=60):
-        end = time.monotonic() + seconds
-        while not (found := condition()):
-            assert time.monotonic() < end, self.text("body")
-            time.sleep(0.25)
+        """Waits until something is so, and returns it; elements may come and go meanwhile."""
+        end, found = time.monotonic() + seconds, None
+        while not found:
+            with suppress(StaleElementReferenceException, NoSuchElementException):
+                found = condition()
+            assert found or time.monotonic() < end, self.words()
+            time.sleep(0 if found else 0.25)
         return found
 
+    def words(self):
+        return self.driver.execute_script("return document.body.innerText")
+
     def says(self, words, seconds=60):
-        self.until(lambda: words in self.text("body"), seconds)
+        self.until(lambda: words in self.words(), seconds)
 
     def scene(self, name):
         return self.driver.execute_script("return document.querySelector('.studio-scene').dataset[arguments[0]]", name)
@@ -118,7 +125,7 @@ def test_a_biped_is_drawn_painted_watched_and_trained(tmp_path, width, env_steps
     shape = (5, 5)
     with serving(tmp_path / "robots") as server, browsing(width) as tab:
         tab.driver.get(server.address)
-        tab.says("My first robot" if width > 600 else "A body: 22 voxels")
+        tab.says("A body: 22 voxels")
         tab.press("New design")
         tab.press("Empty grid")
         tab.says("Nothing is drawn yet.")
@@ -172,7 +179,7 @@ def test_a_biped_is_drawn_painted_watched_and_trained(tmp_path, width, env_steps
 
 
 def _status(tab):
-    return tab.text("[role=status].studio-small")
+    return tab.until(lambda: tab.text("[role=status].studio-small"))
 
 
 def _steps(tab):

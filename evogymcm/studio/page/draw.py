@@ -2,6 +2,7 @@
 
 import secrets
 from collections.abc import Callable
+from contextlib import suppress
 from functools import partial
 from typing import Any
 
@@ -186,8 +187,8 @@ class DrawPanel:
                     self._touch(sketch, row, col, stroke.erases, is_first=stroke.phase == "start")
             if stroke.phase == "end":
                 if self._tool == "gradient" and isinstance(sketch, Drawing) and self._tab == STIFFNESS:
-                    first, last = stroke.cells[0], stroke.cells[-1]
-                    sketch.gradient(first, last, *self._ends())
+                    with suppress(ValueError):  # another tab has made the grid smaller meanwhile
+                        sketch.gradient(stroke.cells[0], stroke.cells[-1], *self._ends())
                 sketch.end()
         self._session.changed()
         self._refresh_page()
