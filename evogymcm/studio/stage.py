@@ -145,11 +145,12 @@ class Stage:
         return self.shot.ending is not None
 
     def advance(self) -> None:
-        """Makes an env-step; after an episode's end it begins the next one instead."""
-        if self.has_ended:
+        """Makes an env-step; after an episode's end, or an error, it begins the next one instead."""
+        now = None if self.has_ended else next(self._playing, None)
+        if now is None:
             self._begin()
         else:
-            self._show(next(self._playing))
+            self._show(now)
 
     def reset(self, seed: int | None) -> None:
         """Begins a new episode, with the draws of a seed where one is given, else with the next ones."""

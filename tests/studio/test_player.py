@@ -240,6 +240,11 @@ def test_an_error_in_a_step_pauses_and_is_told(player):
         time.sleep(0.01)
     assert player.frame()["error"] == "no idea what to do"
     assert not player.is_playing
+    player.use("still")
+    player.step(2)
+    assert (player.frame()["episode"], player.frame()["step"]) == (1, 1)
+    player.play()
+    assert player.frame()["error"] is None
 
 
 def test_a_player_that_nobody_holds_ends_its_thread(sprint):
