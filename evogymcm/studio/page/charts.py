@@ -17,6 +17,7 @@ _AXIS = {
     "splitLine": {"lineStyle": {"color": "#eef1f4"}},
 }
 _SIZE = 34  # pixels of a robot in the tree
+_ROOM = ["12%", "12%"]  # around them
 
 
 def curve_options(x: str, y: str) -> dict[str, Any]:
@@ -47,8 +48,8 @@ def tree_options(nodes: Sequence[dict[str, Any]], edges: Sequence[tuple[int, int
         "animation": False,
         "grid": {"left": 52, "right": 24, "top": 24, "bottom": 42},
         "tooltip": {"trigger": "item", "formatter": "{b}"},
-        "xAxis": _AXIS | {"type": "value", "name": "design", "minInterval": 1, "max": "dataMax"},
-        "yAxis": _AXIS | {"type": "value", "name": "score", "nameGap": 36, "scale": True},
+        "xAxis": _AXIS | {"type": "value", "name": "design", "minInterval": 1, "boundaryGap": _ROOM},
+        "yAxis": _AXIS | {"type": "value", "name": "score", "nameGap": 36, "scale": True, "boundaryGap": _ROOM},
         "series": [
             {
                 "type": "graph",
