@@ -2,6 +2,7 @@
 
 import json
 import socket
+import sys
 
 import pytest
 
@@ -65,3 +66,12 @@ def test_a_studio_that_was_killed_comes_back_with_its_key_and_designs(tmp_path):
         assert again.ask(f"/d/{id}", Cookie=server.cookie)[0] == 200
     assert again.process.returncode in (0, 130)
     assert json.loads((tmp_path / "designs" / f"{id}.json").read_text())["name"] == "Robot"
+
+
+def test_without_its_package_it_says_what_to_install(tmp_path, monkeypatch, capsys):
+    monkeypatch.setitem(sys.modules, "nicegui", None)
+    with pytest.raises(SystemExit) as stop:
+        main(["studio", str(tmp_path / "robots")])
+    assert stop.value.code == 2
+    assert "evogymcm[studio]" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
