@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from evogymcm.algos import PPOConfig, TrainConfig, evaluate, load_policy, train
-from evogymcm.envs import TaskEngine, sine_gait
+from evogymcm.envs import SoftRobotEnv, TaskEngine, sine_gait
 from evogymcm.sim.world import World
 from evogymcm.studio.player import Player
+from tests.envs.lottery import LOTTERY
 
 BODY, OTHER = "HHH/V.V", "HHHH/V..V"
 FIELD = np.linspace(0.5, 2, 6).reshape(2, 3)
@@ -149,6 +150,13 @@ def test_stiffness_changes_within_an_episode_and_a_body_begins_one(player):
 
 
 def test_draws_follow_the_seed():
+    expected = evaluate(sine_gait, SoftRobotEnv(LOTTERY, BODY, num_threads=1, seed=3))
+    lottery = Player(BODY, task=LOTTERY, seed=3)
+    assert play_out(lottery)["return"] == expected.returns[0]
+    lottery.reset(11)
+    assert play_out(lottery)["return"] != expected.returns[0]
+    lottery.reset(3)
+    assert play_out(lottery)["return"] == expected.returns[0]
     first, second = (Player(BODY, task="ObstacleTraverser-v0", policy="random", seed=3) for _ in range(2))
     for player in (first, second):
         player.step(3)
