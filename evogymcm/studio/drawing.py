@@ -1,5 +1,6 @@
 """A robot as it is drawn: voxels and their stiffness, which need not be a valid body yet."""
 
+import os
 from collections.abc import Sequence
 from typing import Any
 
@@ -48,7 +49,9 @@ class Drawing(Sketch):
         return cls(np.zeros(cls._check_shape((rows, cols)), np.int8))
 
     @classmethod
-    def of(cls, body: "Body | str | Sequence[str] | ArrayLike", stiffness: ArrayLike | None = None) -> "Drawing":
+    def of(
+        cls, body: "Body | str | os.PathLike[str] | Sequence[str] | ArrayLike", stiffness: ArrayLike | None = None
+    ) -> "Drawing":
         """Returns the drawing of a body, in any form that `as_body` takes.
 
         Raises:

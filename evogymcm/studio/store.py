@@ -5,6 +5,7 @@ import os
 import re
 import secrets
 import shutil
+import tempfile
 import time
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -13,7 +14,7 @@ from typing import Any
 from evogymcm._files import write_atomic
 from evogymcm._messages import brief
 from evogymcm._settings import check_choice
-from evogymcm.body import robots
+from evogymcm.body import FILE_SUFFIXES, robots
 from evogymcm.envs.tasks import tasks
 from evogymcm.studio.drawing import Drawing
 from evogymcm.studio.sketch import check_keys, check_text
@@ -95,6 +96,29 @@ class Design:
         if text in robots:
             return cls(name=text, drawing=Drawing.of(robots[text]))
         return cls(drawing=Drawing.from_record({"body": text}))
+
+    @classmethod
+    def read_file(cls, name: str, content: bytes) -> "Design":
+        """Returns the design in a file that somebody brings: one of a studio, or a body that `as_body` takes.
+
+        Raises:
+            ValueError: It is neither.
+        """
+        try:
+            text = content.decode()
+        except UnicodeDecodeError:
+            text = ""
+        suffix = Path(name).suffix.lower()
+        if suffix == ".json" and '"grid_width"' not in text:
+            return cls.read(text)
+        if suffix not in FILE_SUFFIXES:
+            raise ValueError(f"file: got {brief(name)}, expected one that ends with {', '.join(FILE_SUFFIXES)}")
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / f"body{suffix}"
+            path.write_bytes(content)
+            design = cls(drawing=Drawing.of(path))
+        design.rename(" ".join(Path(name).stem.split())[:LONGEST_NAME])
+        return design
 
     def rename(self, name: object) -> None:
         """Sets the name; ValueError where it is no line of text."""

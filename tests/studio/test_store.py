@@ -1,12 +1,16 @@
 """Designs as files: nothing outside the folder is opened, nothing is lost."""
 
 import errno
+import io
 import json
 import os
 import time
 
+import numpy as np
 import pytest
 
+from evogymcm import Body
+from evogymcm.sim import World, WorldObject
 from evogymcm.studio import Drawing
 from evogymcm.studio.sessions import Studio
 from evogymcm.studio.store import TERRAIN, Design, Store
@@ -39,6 +43,26 @@ def test_a_design_comes_back_as_it_was(store):
     store.delete(id)
     assert [entry.id for entry in store.entries()] == [other]
     assert len(list((store.folder / "deleted").iterdir())) == 1
+
+
+def test_files_that_somebody_brings_are_designs_or_bodies():
+    body = Body("HHH/V.V")
+    arrays, array = io.BytesIO(), io.BytesIO()
+    np.savez(arrays, body.grid, body.connections)
+    np.save(array, body.grid)
+    tool = json.dumps(World(3, 2, (WorldObject("robot", body.grid, (0, 0)),)).to_design_tool())
+    for name, content in (
+        ("my  ant.npz", arrays.getvalue()),
+        ("my ant.NPY", array.getvalue()),
+        ("my ant.txt", b"333\n404\n"),
+        ("my ant.json", tool.encode()),
+        ("x.json", b'{"name": "my ant", "design": {"body": "HHH/V.V"}}'),
+    ):
+        design = Design.read_file(name, content)
+        assert (design.name, design.drawing.text) == ("my ant", "HHH/V.V")
+    for name, content in (("a.npz", b"PK"), ("a.npy", b""), ("a.json", b"\xff"), ("a.exe", b"H"), ("a.txt", b"X" * 99)):
+        with pytest.raises(ValueError):  # noqa: PT011  (each says something else)
+            Design.read_file(name, content)
 
 
 @pytest.mark.parametrize(

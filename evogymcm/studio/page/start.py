@@ -37,9 +37,9 @@ def new_dialog(studio: Studio) -> None:
 
     async def upload(event: events.UploadEventArguments) -> None:
         try:
-            read(await event.file.text())
-        except UnicodeDecodeError:
-            ui.notify("This file is no text.", type="warning")
+            keep(studio, Design.read_file(event.file.name, await event.file.read()))
+        except ValueError as error:
+            ui.notify(str(error), type="warning", multi_line=True)
 
     with ui.dialog(value=True), ui.card().classes("studio-card studio-dialog"):
         ui.label("New design").classes("studio-title")
@@ -55,8 +55,10 @@ def new_dialog(studio: Studio) -> None:
             text = ui.input("A body or design as text", placeholder="HHH/V.V").props("outlined dense")
             text.classes("studio-grow studio-mono").mark("new-text")
             icon_button("arrow_forward", "Make it", lambda: read(text.value or ""), marker="make")
-        drop = ui.upload(label="A design as a file", on_upload=upload, auto_upload=True, max_file_size=LARGEST_FILE)
-        drop.props('flat bordered accept=".json,.txt"').classes("w-full studio-drop")
+        drop = ui.upload(
+            label="A design or body as a file", on_upload=upload, auto_upload=True, max_file_size=LARGEST_FILE
+        )
+        drop.props('flat bordered accept=".json,.txt,.npz,.npy"').classes("w-full studio-drop")
 
 
 def design_list(studio: Studio) -> None:

@@ -146,7 +146,8 @@ class WatchPanel:
         self._spinner.set_visibility(problem is None and watch.problem is None)
         waits = "Getting the simulator ready; the very first time it is compiled, which takes about 20 s."
         self._reason.set_text(problem or watch.problem or waits)
-        self._problem.set_text((problem or watch.problem or "") if player is not None else "")
+        fault = player.frame()["error"] if player is not None else None
+        self._problem.set_text((problem or watch.problem or fault or "") if player is not None else "")
         self._problem.set_visibility(bool(self._problem.text))
         self._tally.set_visibility(player is not None)
         if player is not None:
