@@ -58,8 +58,12 @@ class ComparePage:
 
     def _tick(self) -> None:
         self._play.props(f"icon={'pause' if self._pair.plays else 'play_arrow'}")
-        for problem, label in zip(self._pair.follow(), self._problems, strict=True):
+        problems = self._pair.follow()
+        for watch, problem, tally_label, label in zip(
+            self._pair.watches, problems, self._tallies, self._problems, strict=True
+        ):
             label.set_text(problem or "")
             label.set_visibility(problem is not None)
-        for watch, label in zip(self._pair.watches, self._tallies, strict=True):
-            label.set_text(tally(watch.player) if watch.player is not None else "getting ready …")
+            waits = "" if problem else "getting ready …"
+            tally_label.set_text(tally(watch.player) if watch.player is not None else waits)
+            tally_label.set_visibility(bool(tally_label.text))
