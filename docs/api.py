@@ -24,6 +24,7 @@ ROOMS = (
     "evogymcm.algos.runs",
     "evogymcm.algos.analysis",
     "evogymcm.report",
+    "evogymcm.fabrication",
     "evogymcm.studio",
     "evogymcm.testing",
     "evogymcm.sim",

@@ -25,6 +25,7 @@ COMMANDS: MappingProxyType[str, str] = MappingProxyType(  # modules of `evogymcm
         "codesign": "evolve bodies, materials and control together",
         "studio": "draw a robot in the browser, and watch it move and learn",
         "report": "make an HTML report of training, co-design or suite folders",
+        "export": "write a design as drawing, table and meshes, for fabrication",
     }
 )
 _BROKEN_PIPE = 141  # exit status, as shells have it

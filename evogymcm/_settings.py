@@ -13,6 +13,9 @@ import numpy as np
 # What several settings allow, for type checkers, the command line and the checks alike.
 Material = Literal["invariant", "reactive"]
 EdgeRule = Literal["mean_factor", "mean_stiffness"]
+# Of an episode, as infos and tables call it: what commands supplied, and less what came back.
+WORK = ("actuation_work", "stiffness_work", "net_actuation_work", "net_stiffness_work")
+WorkWeight = float | tuple[float, float] | None
 
 
 def check_fields(config: Any, bounds: Mapping[str, Mapping[str, Any]]) -> None:
@@ -86,6 +89,14 @@ def check_numbers(name: str, value: Any) -> tuple[float, ...]:
     if isinstance(value, str) or np.ndim(value) != 1:
         raise ValueError(f"{name}: got {value!r}, expected a sequence of numbers")
     return tuple(check_number(name, item) for item in value)
+
+
+def check_work_weight(value: Any) -> tuple[float, float] | None:
+    """Returns what work of actuation and of stiffness costs, see `WorldOptions`; None where it is not measured."""
+    if value is None:
+        return None
+    first, second = (value, value) if isinstance(value, Real) else check_pair("work_weight", value)
+    return check_number("work_weight", first, low=0), check_number("work_weight", second, low=0)
 
 
 def check_pair(name: str, value: Any) -> tuple[Any, Any]:

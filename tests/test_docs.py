@@ -79,6 +79,7 @@ def test_pages_with_code_are_these():
         "codesign",
         "concepts",
         "custom-tasks",
+        "fabrication",
         "from-evogym",
         "from-jax-evogym",
         "gymnasium",
@@ -89,6 +90,7 @@ def test_pages_with_code_are_these():
         "reports",
         "tasks",
         "torchrl",
+        "work",
     }
     assert expected <= set(WITH_CODE)
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from evogymcm._messages import brief
+from evogymcm._settings import WORK
 
 if TYPE_CHECKING:  # both load torch or numba, which help texts do without
     import numpy as np
@@ -90,6 +91,14 @@ def write_stiffness(field: "np.ndarray", occupancy: "np.ndarray") -> list[str]:
     return [
         " ".join(f"{value:4.2f}" if is_there else "   ." for value, is_there in zip(*row, strict=True)) for row in rows
     ]
+
+
+def work_lines(work: Mapping[str, float]) -> list[str]:
+    """Returns what is printed of the mean work of episodes, given by the names in tables: nothing where it is not."""
+    if WORK[0] not in work:
+        return []
+    supplied = [f"{work[name]:,.0f} of {name.split('_')[0]}" for name in WORK[:2]]
+    return [f"work    {' and '.join(supplied)}: what commands supplied in an episode"]
 
 
 def open_run(path: Path, config: dict[str, Any], *, resume: bool, overwrite: bool) -> "RunFolder":

@@ -11,7 +11,15 @@ from tyro.conf import arg
 
 from evogymcm.algos.codesign.config import CodesignConfig, SearchConfig
 from evogymcm.algos.runs.older import of_arm
-from evogymcm.commands._options import INTERRUPTED, Bar, checking_arguments, how_to_resume, open_run, write_stiffness
+from evogymcm.commands._options import (
+    INTERRUPTED,
+    Bar,
+    checking_arguments,
+    how_to_resume,
+    open_run,
+    work_lines,
+    write_stiffness,
+)
 
 if TYPE_CHECKING:
     from evogymcm.algos.codesign import CodesignProgress, CodesignResult
@@ -157,6 +165,8 @@ def _print_best(config: CodesignConfig, result: "CodesignResult", path: Path) ->
     if config.eval_starts > 1:
         hair = f"the score from {config.eval_starts} starts that differ by a hair"
         print(f"robust  {alone.robust[0]:.3f} ± {alone.spread[0]:.3f}: {hair}")
+    for line in work_lines(alone.row(0)):
+        print(line)
     print(f"run     {path} ({result.env_steps:,} env-steps)")
     print(f"watch   evogymcm watch --policy {path}")
     print(f"report  evogymcm report {path}")

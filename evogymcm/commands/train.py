@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 from tyro.conf import arg
 
-from evogymcm._settings import EdgeRule, Material
+from evogymcm._settings import EdgeRule, Material, WorkWeight
 from evogymcm.algos.learning.config import PPOConfig, TrainConfig
 from evogymcm.commands._options import (
     INTERRUPTED,
@@ -22,6 +22,7 @@ from evogymcm.commands._options import (
     make_logger,
     open_run,
     read_stiffness,
+    work_lines,
 )
 
 if TYPE_CHECKING:  # torch is loaded when a command runs, not for its help
@@ -55,6 +56,8 @@ class Options:
         stiffness: invariant only: a number, or numbers in rows like the body's (2,2,2/0.5,1,0.5); one for all bodies
             or one for each.
         edge_rule: how stiffness acts on shared edges.
+        work_weight: what a unit of supplied work costs in reward, or one number for actuation and one for stiffness; 0
+            has it measured.
         run: folder of the run.
         resume: continue the run in the folder.
         overwrite: replace the run in the folder.
@@ -72,6 +75,7 @@ class Options:
     material: Material = "invariant"
     stiffness: Annotated[tuple[str, ...], arg(metavar="FIELD", help_behavior_hint="(default: 1)")] = ()
     edge_rule: EdgeRule = "mean_factor"
+    work_weight: WorkWeight = None
     run: Annotated[Path | None, arg(metavar="FOLDER", help_behavior_hint="(default: runs/TASK-MATERIAL-seedSEED)")] = (
         None
     )
@@ -114,6 +118,7 @@ def _config(options: Options) -> TrainConfig:
         options.material,
         edge_rule=options.edge_rule,
         random_bodies=options.random_bodies,
+        work_weight=options.work_weight,
         ppo=options.ppo,
     ).resolved()
     is_stream = config.random_bodies is not None
@@ -133,6 +138,8 @@ def _show(bar: Bar, latest: dict[str, str], state: "Progress") -> None:
 def _print_result(result: "TrainResult", bodies: Sequence[str], path: Path) -> None:
     import numpy as np
 
+    from evogymcm.algos.learning.evaluation import mean_work
+
     assert result.final is not None
     final = result.final
     for i, body in enumerate(bodies):
@@ -149,6 +156,8 @@ def _print_result(result: "TrainResult", bodies: Sequence[str], path: Path) -> N
             print(
                 f"robust  {robust:.3f} ± {spread:.3f}: the score from {len(final.starts)} starts that differ by a hair"
             )
+    for line in work_lines(mean_work(final.work)):
+        print(line)
     evaluations = sum("score" in row for row in result.rows)
     over = " (means over the bodies)" if len(bodies) > 1 else ""
     print(f"best    {result.best_score:.3f}: the largest score of {evaluations} evaluations in training{over}")

@@ -9,6 +9,7 @@ from typing import Any, Unpack
 
 import numpy as np
 
+from evogymcm._settings import check_work_weight
 from evogymcm.body import Body
 from evogymcm.envs import checks
 from evogymcm.envs.actions import checked_action
@@ -38,8 +39,8 @@ class TaskEngine(Observed, Episodes):
         num_worlds: N; as many as bodies by default, 1 with a stream.
         with_voxels: Whether to observe voxels (`self.voxels`).
         with_flat: Whether to compute the flat observation, which exists if all bodies are equal.
-        options: material, stiffness, edge_rule, physics, num_threads, grid_shape and seed, as all environments take
-            them: see `EngineOptions`.
+        options: material, stiffness, edge_rule, physics, num_threads, grid_shape, work_weight and seed, as all
+            environments take them: see `EngineOptions`.
 
     Attributes:
         bodies: The body of each world.
@@ -52,6 +53,8 @@ class TaskEngine(Observed, Episodes):
         score: (N,) the sum of the episode's rewards without the last (the paper's score, once the episode has ended).
         returns: (N,) the sum of all rewards of the episode.
         length: (N,) env-steps of the episode.
+        work: (N, 4) work of the episode, what actuation and stiffness supplied, then the net work of both; None where
+            it is not measured, see `EngineOptions`. `works` has it by name.
         num_designs: How many bodies were given: world w holds design w modulo this. N with a stream.
 
     Raises:
@@ -77,7 +80,7 @@ class TaskEngine(Observed, Episodes):
         self._stream, self.num_designs = lineup.stream, lineup.num_designs
         self._start = Start(task)
         self._starts: Starts | None = None
-        Episodes.__init__(self, task, lineup.num_worlds)
+        Episodes.__init__(self, task, lineup.num_worlds, check_work_weight(chosen["work_weight"]))
         self.set_seed(chosen["seed"])
         dealt, fields = lineup.deal()
         scenes = self._start.scenes(dealt)
@@ -166,6 +169,10 @@ class TaskEngine(Observed, Episodes):
         factors = None
         if stiffness is not None or self.material == "reactive":
             factors = self._checked_stiffness(stiffness, occupancy)
+        work = None
+        if self.work is not None:
+            commands = given, self.stiffness if factors is None else factors
+            work = self.simulator.command_work((self.actuation, self.stiffness), commands, mask)
         if mask is None:
             self.actuation = given
             self.stiffness = self.stiffness if factors is None else factors
@@ -183,6 +190,8 @@ class TaskEngine(Observed, Episodes):
         if mask is not None:
             reader.keep(~mask)
         self._settle(reader.before, reader.now, unstable, mask)
+        if work is not None:
+            self._charge(work)
 
     def _checked_stiffness(self, stiffness: np.ndarray | None, occupancy: np.ndarray) -> np.ndarray:
         """Returns the stiffness of an action, see `checked_action`; ValueError where it is missing or not wanted."""

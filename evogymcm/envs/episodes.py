@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from evogymcm._settings import WORK
 from evogymcm.envs import checks
 from evogymcm.envs.states import checked_arrays, checked_rngs
 from evogymcm.envs.task import Snapshot, Task
@@ -20,13 +21,16 @@ class Episodes:
     Args:
         task: The task.
         num_worlds: N.
+        work_weight: What supplied work of actuation and of stiffness costs; None to measure none.
 
     Attributes:
         memory: What the task has drawn and remembers, arrays with N rows. For the others see `TaskEngine`.
     """
 
-    def __init__(self, task: Task, num_worlds: int) -> None:
+    def __init__(self, task: Task, num_worlds: int, work_weight: tuple[float, float] | None) -> None:
         n = num_worlds
+        self._work_weight = work_weight
+        self.work = None if work_weight is None else np.zeros((n, len(WORK)))
         self.task, self.num_worlds = task, n
         self.reward, self.score, self.returns, self.length = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n, int)
         self.terminated, self.truncated, self.unstable, self.reached = (np.zeros(n, bool) for _ in range(4))
@@ -53,6 +57,22 @@ class Episodes:
         """Begins episodes in the worlds of the (N,) mask, where nothing has been earned."""
         for name in _ACCOUNTS:
             getattr(self, name)[chosen] = 0
+        if self.work is not None:
+            self.work[chosen] = 0
+
+    @property
+    def works(self) -> dict[str, np.ndarray]:
+        """(N,) work of the episode (fresh memory), by the names in infos; nothing where it is not measured."""
+        return {} if self.work is None else dict(zip(WORK, self.work.T.copy(), strict=True))
+
+    def _charge(self, work: np.ndarray) -> None:
+        """Takes up the (N, 4) work of a step, and what it costs."""
+        assert self.work is not None
+        assert self._work_weight is not None
+        self.work = self.work + work
+        by_actuation, by_stiffness = self._work_weight
+        if by_actuation or by_stiffness:
+            self.reward = self.reward - (by_actuation * work[:, 0] + by_stiffness * work[:, 1])
 
     def _settle(self, before: Snapshot, now: Snapshot, unstable: np.ndarray, mask: np.ndarray | None) -> None:
         """Takes up the rewards and endings of a step, for the worlds of the (N,) mask; all by default.
@@ -100,14 +120,14 @@ class Episodes:
         return {name: getattr(self, name).copy() for name in _ACCOUNTS} | {
             "memory": {name: values.copy() for name, values in self.memory.items()},
             "rngs": [rng.bit_generator.state for rng in self._rngs] if self.memory else [],
+            **({} if self.work is None else {"work": self.work.copy()}),
         }
 
     def _checked(self, state: Mapping[str, Any]) -> dict[str, Any]:
         """Returns what `_take_up` takes, of what `_saved` returned; ValueError where it is of other worlds."""
         reached = {"reached": np.zeros(self.num_worlds, bool)}  # which states of older releases lack
-        checked: dict[str, Any] = checked_arrays(
-            reached | dict(state), {name: getattr(self, name) for name in _ACCOUNTS}
-        )
+        names = _ACCOUNTS if self.work is None else (*_ACCOUNTS, "work")
+        checked: dict[str, Any] = checked_arrays(reached | dict(state), {name: getattr(self, name) for name in names})
         checked["memory"] = checked_arrays(state, self.memory, "memory")
         checked["_rngs"] = checked_rngs(state, self._rngs if self.memory else []) or self._rngs
         return checked

@@ -52,7 +52,8 @@ class GymnasiumEnv(Described, Rendered, WorldReadings, gymnasium.Env[np.ndarray,
 
     `info` holds NumPy values: `com` (2,), `unstable`, `reached` (whether the episode ended at a goal), `score` (the sum
     of the episode's rewards without the last), `return` (the sum of all); and `physics`, the constants that differ from
-    the benchmark's, if any.
+    the benchmark's, if any. Where work is measured, see `WorldOptions`, there are also `actuation_work` and
+    `stiffness_work`, which the episode has been supplied with, and `net_actuation_work` and `net_stiffness_work`.
 
     Args:
         task: A task or its id.
@@ -62,8 +63,8 @@ class GymnasiumEnv(Described, Rendered, WorldReadings, gymnasium.Env[np.ndarray,
             names for the two are "img" and "screen".
         render_options: Keywords of `Renderer`: width, height, view, legend, hide_background, hide_edges, hide_voxels;
             EvoGym's verbose and hide_grid have no effect.
-        options: material, stiffness, edge_rule, physics, num_threads and grid_shape, as all environments take them: see
-            `WorldOptions`.
+        options: material, stiffness, edge_rule, physics, num_threads, grid_shape and work_weight, as all environments
+            take them: see `WorldOptions`.
 
     Raises:
         ValueError: For bad arguments, as `TaskEngine`; in a step for NaN or a wrong number of values.
@@ -104,6 +105,7 @@ class GymnasiumEnv(Described, Rendered, WorldReadings, gymnasium.Env[np.ndarray,
             "reached": engine.reached[0],
             "score": engine.score[0],
             "return": engine.returns[0],
+            **{name: values[0] for name, values in engine.works.items()},
         }
         return info | {"physics": dict(self._changed)} if self._changed else info
 
@@ -145,8 +147,8 @@ class GymnasiumVectorEnv(Described, PerWorld, VectorEnv[np.ndarray, np.ndarray, 
         max_episode_steps: Env-steps after which an episode is cut; -1 for no limit. The task's `time_limit` by default.
         render_mode: "rgb_array" or "img" (`render` returns a tuple of pictures, one a world), or None.
         render_options: As for `GymnasiumEnv`.
-        options: material, stiffness, edge_rule, physics, num_threads and grid_shape, as all environments take them: see
-            `WorldOptions`.
+        options: material, stiffness, edge_rule, physics, num_threads, grid_shape and work_weight, as all environments
+            take them: see `WorldOptions`.
     """
 
     metadata: dict[str, Any] = {
@@ -204,6 +206,7 @@ class GymnasiumVectorEnv(Described, PerWorld, VectorEnv[np.ndarray, np.ndarray, 
             "reached": engine.reached.copy(),
             "score": engine.score.copy(),
             "return": engine.returns.copy(),
+            **engine.works,
         }
         changed = {name: np.full(self.num_envs, value) for name, value in self.changed.items()}
         if changed:

@@ -7,6 +7,7 @@ from typing import Any, TypedDict, TypeVar, get_args
 
 import numpy as np
 
+from evogymcm._settings import WorkWeight
 from evogymcm.envs.dealing import MATERIALS
 from evogymcm.sim.constants import Physics
 
@@ -29,6 +30,9 @@ class WorldOptions(TypedDict, total=False):
         num_threads: Threads of the simulator, without effect on any result; all cores by default.
         grid_shape: (rows, columns) of the padded grid; the smallest that holds all bodies by default. Required
             with a stream; a larger grid leaves room for later bodies.
+        work_weight: What a unit of supplied work costs in reward: a number for the work of actuation and of stiffness
+            alike, or a pair of numbers; 0 has it measured only. None, the default, does not measure work. Scores and
+            returns remain those of the task.
     """
 
     material: str
@@ -37,6 +41,7 @@ class WorldOptions(TypedDict, total=False):
     physics: Physics | Mapping[str, float] | None
     num_threads: int | None
     grid_shape: tuple[int, int] | None
+    work_weight: WorkWeight
 
 
 class EngineOptions(WorldOptions, total=False):
@@ -59,6 +64,7 @@ DEFAULTS: EngineOptions = {
     "physics": None,
     "num_threads": None,
     "grid_shape": None,
+    "work_weight": None,
     "seed": 0,
 }
 

@@ -36,7 +36,8 @@ class BodiesParallelEnv(Adapter, Rendered, ParallelEnv[str, Observation, Action]
     `occupancy` and `actuators` (V,) int8, and `task` (G,) float32: COM velocity, sine and cosine of the orientation,
     the task's own global observations. It acts with a dict of `actuation` (V,) in [0.6, 1.6] and, in the reactive
     setting, `stiffness` (V,) in [0.5, 2]. Its `info` holds the numbers `score` (the sum of the episode's rewards
-    without the last), `return` (the sum of all), `unstable`, `reached` (a goal), and `com_x` and `com_y` in metres.
+    without the last), `return` (the sum of all), `unstable`, `reached` (a goal), and `com_x` and `com_y` in metres; and
+    the episode's work where it is measured, by the names that `GymnasiumEnv` has for it.
 
     With `flat=True` observations and actions are float32 vectors instead, for libraries that cannot handle dicts: the
     same parts in the order of `gymnasium.spaces.flatten`, by name: `actuators`, `occupancy`, `task`, `types`, `voxels`;
@@ -51,8 +52,8 @@ class BodiesParallelEnv(Adapter, Rendered, ParallelEnv[str, Observation, Action]
         render_mode: "rgb_array" (`render` returns a picture of all bodies), "human" (a window at every step) or None.
         render_options: Keywords of `Renderer`: width, height, view, legend.
         flat: Whether observations and actions are vectors.
-        options: material, stiffness, edge_rule, physics, num_threads, grid_shape and seed, as all environments take
-            them: see `EngineOptions`. The padded grid stays as it is when bodies change.
+        options: material, stiffness, edge_rule, physics, num_threads, grid_shape, work_weight and seed, as all
+            environments take them: see `EngineOptions`. The padded grid stays as it is when bodies change.
 
     Attributes:
         np_random: The generator made from `seed`, for new designs that come without a seed, and for wrappers.
@@ -155,6 +156,7 @@ class BodiesParallelEnv(Adapter, Rendered, ParallelEnv[str, Observation, Action]
             "reached": engine.reached.tolist(),
             "com_x": x,
             "com_y": y,
+            **{name: values.tolist() for name, values in engine.works.items()},
         }
         return {agent: {name: values[self._index[agent]] for name, values in columns.items()} for agent in agents}
 

@@ -43,8 +43,8 @@ class PopulationEnv(Adapter, EnvBase):
         group_map: Which agents (`body_0` ...) form which group, or one of TorchRL's ready maps. By default all are in
             the one group `bodies`.
         num_bodies: P; required with a stream.
-        options: material, stiffness, edge_rule, physics, num_threads, grid_shape and seed, as all environments take
-            them: see `EngineOptions`.
+        options: material, stiffness, edge_rule, physics, num_threads, grid_shape, work_weight and seed, as all
+            environments take them: see `EngineOptions`.
 
     Attributes:
         worlds: The `SoftRobotEnv` of all C * P worlds; world c * P + p is body p of copy c.

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from evogymcm._settings import WORK
 from evogymcm.envs.dealing import BodySpec
 from evogymcm.envs.gymnasium import GymnasiumVectorEnv
 from evogymcm.envs.task import Task
@@ -93,7 +94,7 @@ class SB3VecEnv(VecEnv):
 
     def _rows(self, info: dict[str, Any]) -> list[dict[str, Any]]:
         """Returns the info of each world."""
-        names = [name for name in ("com", "unstable", "reached", "score", "return") if name in info]
+        names = [name for name in ("com", "unstable", "reached", "score", "return", *WORK) if name in info]
         rows = [dict(zip(names, values, strict=True)) for values in zip(*(info[name] for name in names), strict=True)]
         changed = self.envs.changed
         return [row | {"physics": dict(changed)} for row in rows] if changed else rows

@@ -43,6 +43,8 @@ class SoftRobotEnv(Adapter, EnvBase):
     | `"score"`, `"return"` | [N, 1] float64 | sums of the episode's rewards, without and with the last |
     | `"unstable"` | [N, 1] bool | whether the simulation broke down in this step |
     | `"reached"` | [N, 1] bool | whether this step ended the episode at a goal |
+    | `"actuation_work"`, `"stiffness_work"` | [N, 1] float64 | work that the episode was supplied with, if measured |
+    | `"net_actuation_work"`, `"net_stiffness_work"` | [N, 1] float64 | the same, less what came back |
 
     Args:
         task: A task or its id.
@@ -50,8 +52,8 @@ class SoftRobotEnv(Adapter, EnvBase):
             at each reset: `draw(rng)` or an iterator, see `TaskEngine`.
         num_worlds: N; as many as bodies by default, 1 with a stream.
         device: Where tensors go; the simulator runs on the CPU.
-        options: material, stiffness, edge_rule, physics, num_threads, grid_shape and seed, as all environments take
-            them: see `EngineOptions`.
+        options: material, stiffness, edge_rule, physics, num_threads, grid_shape, work_weight and seed, as all
+            environments take them: see `EngineOptions`.
 
     Raises:
         ValueError: For bad arguments, as `TaskEngine`; in a step for an action without these keys, of a wrong shape or
@@ -97,6 +99,7 @@ class SoftRobotEnv(Adapter, EnvBase):
             "return": numbers(1, dtype=torch.float64),
             "unstable": flags(1),
             "reached": flags(1),
+            **{name: numbers(1, dtype=torch.float64) for name in self.engine.works},
         }
         flat = self.engine.flat
         if flat is not None:
@@ -118,6 +121,7 @@ class SoftRobotEnv(Adapter, EnvBase):
             "return": engine.returns[:, None].copy(),
             "unstable": engine.unstable[:, None].copy(),
             "reached": engine.reached[:, None].copy(),
+            **{name: values[:, None] for name, values in engine.works.items()},
         }
 
     def _pack(self, values: dict[str, np.ndarray]) -> TensorDict:

@@ -12,6 +12,7 @@ from evogymcm.report.designs import design_sections
 from evogymcm.report.parts import Figure, Fold, Note, Part, Picture, Pictures, Section
 from evogymcm.report.signals import signal_parts
 from evogymcm.report.sources import Arm, Source, make_arms, read_sources
+from evogymcm.report.work import work_section
 
 
 def write_report(
@@ -80,6 +81,7 @@ def _page(sources: Sequence[Source], *, animations: bool) -> str:
         _origin(sources),
         *_training(arms),
         *_codesign(arms),
+        work_section(arms),
         *design_sections(arms),
         *_signals(arms),
         *(_animations(arms) if animations else []),

@@ -11,6 +11,7 @@ from evogymcm.sim.constants import SUBSTEPS, Physics
 from evogymcm.sim.designs import Objects
 from evogymcm.sim.kernels._jit import announce_compilation, entry
 from evogymcm.sim.kernels.advance import Room, Scratch, advance, new_scratch, set_stiffness
+from evogymcm.sim.kernels.work import N_SCRATCH, N_WORK, Commands, command_work
 from evogymcm.sim.scene import Scene
 from evogymcm.sim.worlds import Worlds
 
@@ -54,6 +55,7 @@ class Simulator(Worlds):
         self._unchanged = np.empty((0, self.n_cells))  # what stands for no stiffness
         self._scratches: list[Scratch] = []  # one a thread
         self._advance: Any = None  # the kernel, once there are scratches
+        self._work: Any = None  # the kernel, once it is used
 
     def _lay_out(self, scenes: Iterable[Scene]) -> None:
         room = self._room
@@ -147,6 +149,41 @@ class Simulator(Worlds):
             self._threads.run(run, chosen, self._costs[chosen])
         return unstable
 
+    def command_work(
+        self,
+        before: tuple[np.ndarray, np.ndarray],
+        after: tuple[np.ndarray, np.ndarray],
+        mask: np.ndarray | None = None,
+    ) -> np.ndarray:
+        """Returns the work that a change of actuation and stiffness would do on robots as they are now.
+
+        It is what the change adds to the energy of a robot's springs, in units of the simulator: a point has mass 1,
+        lengths are metres. See the documentation's page on work.
+
+        Args:
+            before: (N, V) actuation and (N, V) stiffness until now, float64.
+            after: Those from now on.
+            mask: (N,) bool, the worlds meant; all by default. The others' work is 0.
+
+        Returns:
+            (N, 4): what actuation and what stiffness supply, summed over those springs whose energy they raise; then
+            the same two summed over all springs, so that what comes back is subtracted.
+
+        Raises:
+            ValueError: For another shape.
+        """
+        names = ("actuation", "stiffness")
+        old, new = (
+            Commands(*(self._rows(name, part, self.n_cells) for name, part in zip(names, parts, strict=True)))
+            for parts in (before, after)
+        )
+        work, scratch = np.zeros((self.n_worlds, N_WORK)), np.empty(N_SCRATCH * self._room.springs)
+        arguments = self._storage, self._chosen(mask), old, new, scratch, work
+        if self._work is None:
+            self._work = entry(command_work, *arguments)
+        self._work(*arguments)
+        return work
+
     def _get_ready(self) -> None:
         """Makes what threads need to advance worlds."""
         self._scratches = [new_scratch(self._room) for _ in range(self.num_threads)]
@@ -181,4 +218,4 @@ class Simulator(Worlds):
         self._threads.close()
 
     def __getstate__(self) -> dict[str, Any]:
-        return super().__getstate__() | {"_scratches": [], "_advance": None}
+        return super().__getstate__() | {"_scratches": [], "_advance": None, "_work": None}

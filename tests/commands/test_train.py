@@ -282,3 +282,21 @@ def test_files_that_are_not_there_are_refused(capsys, tmp_path, monkeypatch, arg
     monkeypatch.chdir(tmp_path)
     assert message in refused(capsys, *arguments)
     assert not list(tmp_path.iterdir())
+
+
+def test_work_is_told_and_reported_where_it_is_asked_for(sprint, capsys):
+    command = ["train", sprint, "--body", BODY, "--material", "reactive", *TINY, "--work-weight"]
+    assert main([*command, "1e-5", "2e-5", "--run", "run"]) == 0
+    out = capsys.readouterr().out
+    assert json.loads(Path("run/config.json").read_text())["work_weight"] == [1e-5, 2e-5]
+    final = json.loads(Path("run/result.json").read_text())["final"]
+    assert f"work    {final['actuation_work']:,.0f} of actuation and {final['stiffness_work']:,.0f} of" in out
+    assert final["actuation_work"] > 0
+    rows = [json.loads(line) for line in Path("run/curve.jsonl").read_text().splitlines()]
+    assert rows[-1]["net_stiffness_work"] == final["net_stiffness_work"]
+    assert main([*command, "1e-5", "2e-5", "--run", "run", "--resume"]) == 0
+    assert "work_weight" in refused(capsys, *command, "0", "--run", "run", "--resume")
+    assert "work_weight: got -1" in refused(capsys, *command, "-1", "--run", "other")
+    pytest.importorskip("plotly")
+    assert main(["report", "run", "--no-animations"]) == 0
+    assert f"{final['actuation_work']:,.0f}" in Path("report.html").read_text()

@@ -28,6 +28,7 @@ LIST = {
     "physics": None,
     "num_threads": None,
     "grid_shape": None,
+    "work_weight": None,
     "seed": 0,
 }
 

@@ -111,3 +111,13 @@ def test_the_extra_is_named_where_it_is_missing(monkeypatch):
     module = importlib.import_module("evogymcm.envs.sb3")  # without an error: every module can be read
     with pytest.raises(ImportError, match=r"needs stable-baselines3: pip install evogymcm\[sb3\]"):
         module.SB3VecEnv("Walker-v0", SMALL, 2)
+
+
+def test_infos_tell_the_work_that_is_measured():
+    env = SB3VecEnv("Walker-v0", SMALL, 2, material="reactive", work_weight=0, num_threads=1)
+    env.reset()
+    _, _, _, infos = env.step(np.stack([env.action_space.high, env.action_space.low]))
+    for name, values in env.envs.engine.works.items():
+        assert [info[name] for info in infos] == values.tolist()
+    assert "actuation_work" in infos[0]
+    env.close()

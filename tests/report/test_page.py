@@ -5,6 +5,7 @@ import json
 import re
 import shutil
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,12 +13,14 @@ import torch
 
 from evogymcm.__main__ import main
 from evogymcm.algos import RunRecord
+from evogymcm.algos.analysis import summarise
 from evogymcm.algos.learning.threads import exploration
 from evogymcm.report import make_report, write_report
 from evogymcm.report.animations import animate, choose_scenes, gif_uri
 from evogymcm.report.figures import curves
 from evogymcm.report.sources import Arm, make_arms, read_source
 from evogymcm.report.tables import codesign_scores, training_scores
+from evogymcm.report.work import work_section
 from tests.commands.tools import refused
 
 HEADINGS = re.compile(r"<h2>(.*?)</h2>")
@@ -116,6 +119,36 @@ def test_robust_scores_stand_beside_the_papers_where_there_are_some():
     table = codesign_scores(arms, "")
     assert table.rows[0][table.head.index("robust score")] == "1.75 ± 0.50"
     assert "robust score" not in training_scores(arms[1:2], "").head
+
+
+def test_work_stands_beside_the_score_and_who_is_on_the_front_of_both():
+    def told(score, actuation, stiffness):
+        return {"score": score, "actuation_work": actuation, "stiffness_work": stiffness,
+                "net_actuation_work": actuation / 2, "net_stiffness_work": -stiffness}  # fmt: skip
+
+    def trained(label, seed, *numbers):
+        row = {"kind": "train", "task": "Walker-v0", "label": label, "seed": seed, "finished": True}
+        return RunRecord.from_dict(row | {"curve": [[0, 0.0], [64, 2.0]], "final": told(*numbers)})
+
+    rows = ({"index": i, "fitness": 9.0, "env_steps": 64} | told(2.5 - i, 1500, 0) for i in range(2))
+    evolved = RunRecord.from_dict({"kind": "codesign", "task": "Walker-v0", "curve": [[64, 2.5]], "best": {"index": 0}})
+    runs = {
+        "plain": (trained("plain", 0, 1.0, 1000, 0), trained("plain", 1, 2.0, 3000, 0)),
+        "reactive": (trained("reactive", 0, 3.0, 1500, 500), trained("reactive", 1, 1.0, 2500, 10)),
+        "evolved": (replace(evolved, rows=tuple(rows)),),
+    }
+    arms = [Arm(label, "", own, {}) for label, own in runs.items()]
+    means, front = work_section(arms).parts[1:]
+    assert means.rows[0] == ["plain", "2", str(summarise([1.0, 2.0])), "2,000", "0", "1,000", "0"]
+    assert means.rows[1][3:] == ["2,000", "255", "1,000", "-255"]
+    assert [row[:4] for row in front.rows] == [
+        ["reactive", "seed 0", "3.00", "2,000"],
+        ["evolved", "design 0", "2.50", "1,500"],
+        ["plain", "seed 0", "1.00", "1,000"],
+    ]
+    assert "3 of 6 are" in front.caption
+    unmeasured = RunRecord.from_dict({"kind": "train", "task": "Walker-v0", "final": {"score": 2.0}})
+    assert not work_section([Arm("plain", "", (unmeasured,), {})]).parts
 
 
 def test_the_same_runs_give_the_same_page(evolved):

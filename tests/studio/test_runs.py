@@ -1,14 +1,16 @@
 """Runs of designs and videos: what is found in the folder, what may be named, what is drawn."""
 
+import io
 import json
 import shutil
+import zipfile
 from pathlib import Path
 
 import imageio.v3 as imageio
 import pytest
 
 from evogymcm.studio.drawing import Drawing
-from evogymcm.studio.filming import film
+from evogymcm.studio.exports import film, zip_sheet
 from evogymcm.studio.runs import Runs
 from evogymcm.studio.sessions import Studio
 from evogymcm.studio.store import TERRAIN, Design, Store, check_policy
@@ -105,3 +107,14 @@ def test_a_robot_in_its_terrain_is_filmed(store, tmp_path, suffix):
     assert (pictures[0] != pictures[-1]).any()
     studio.close()
     shutil.rmtree(store.folder)
+
+
+def test_a_sheet_for_fabrication_is_one_file():
+    drawing = Drawing.of("HHH/V.V", [[2, 1, 1], [1, 1, 1]])
+    with zipfile.ZipFile(io.BytesIO(zip_sheet(drawing.body(), drawing.stiffness, size=20.0, classes=3))) as archive:
+        names = archive.namelist()
+        assert {"sheet.svg", "sheet.csv"} <= set(names)
+        assert sum(name.endswith(".stl") for name in names) == 3
+        assert b"60" in archive.read("sheet.svg")
+    with pytest.raises(ValueError, match="size"):
+        zip_sheet(drawing.body(), drawing.stiffness, size=0.0)

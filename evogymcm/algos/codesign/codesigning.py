@@ -10,6 +10,7 @@ from contextlib import nullcontext
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
+from evogymcm._settings import WORK
 from evogymcm.algos.codesign.config import CodesignConfig
 from evogymcm.algos.codesign.design import Individual
 from evogymcm.algos.codesign.inner_loop import Policy
@@ -112,8 +113,9 @@ def _to_the_end(
 
 
 def _best(result: CodesignResult) -> dict[str, Any] | None:
-    """Returns the best individual's record, with its scores from several starts where there are such."""
+    """Returns the best individual's record, with its scores from several starts and its work where there are such."""
     if result.best is None:
         return None
     row = next(row for row in reversed(result.rows) if row["index"] == result.best.index)
-    return result.best.record() | {name: row[name] for name in ("score", "robust_score", "spread") if name in row}
+    told = ("score", "robust_score", "spread", *WORK)
+    return result.best.record() | {name: row[name] for name in told if name in row}

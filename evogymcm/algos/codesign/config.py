@@ -8,7 +8,16 @@ from itertools import pairwise
 from math import ceil
 from typing import Any, Literal
 
-from evogymcm._settings import EdgeRule, Material, check_count, check_fields, check_numbers, check_pair
+from evogymcm._settings import (
+    EdgeRule,
+    Material,
+    WorkWeight,
+    check_count,
+    check_fields,
+    check_numbers,
+    check_pair,
+    check_work_weight,
+)
 from evogymcm.algos.codesign.body_ppo import BodyPPOConfig, check_body_ppo
 from evogymcm.algos.codesign.body_search import check_budget
 from evogymcm.algos.codesign.genetic import check_population
@@ -111,6 +120,8 @@ class CodesignConfig:
         search: search of the survivors' stiffness fields, followed by fine-tuning, in the invariant setting; None for
             no search.
         edge_rule: how stiffness acts on shared edges.
+        work_weight: what a unit of supplied work costs in the reward that policies learn from, see `TrainConfig`;
+            fitness is the score of the task all the same.
         shape: rows and columns of the bodies.
         method: "ga" (EvoGym's genetic algorithm), "random" search, or "qd" (a quality-diversity archive, extra).
         population: P, bodies in a generation.
@@ -150,6 +161,7 @@ class CodesignConfig:
     stiffness: float = 1.0
     search: SearchConfig | None = None
     edge_rule: EdgeRule = "mean_factor"
+    work_weight: WorkWeight = None
     shape: tuple[int, int] = (5, 5)
     method: Method = "ga"
     population: int = 8
@@ -176,7 +188,8 @@ class CodesignConfig:
         halving = HalvingSchedule(self.rungs, self.keep)
         rows, cols = (check_count("shape", side) for side in check_pair("shape", self.shape))
         weights = check_weights(check_numbers("weights", self.weights))
-        for name, value in (("shape", (rows, cols)), ("weights", weights), *vars(halving).items()):
+        given = {"shape": (rows, cols), "weights": weights, "work_weight": check_work_weight(self.work_weight)}
+        for name, value in (given | vars(halving)).items():
             object.__setattr__(self, name, value)
         if not isinstance(self.task, str):
             raise ValueError(f"task: got {self.task!r}, expected the id of a task")

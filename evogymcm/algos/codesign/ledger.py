@@ -3,11 +3,12 @@
 from collections.abc import Collection, Mapping
 from typing import Any
 
+from evogymcm._settings import WORK
 from evogymcm.algos.codesign.design import Individual
 from evogymcm.algos.codesign.inner_loop import Policy
 from evogymcm.algos.runs.folder import RunFolder
 
-_TOLD = ("return", "score", "robust_score", "spread")  # see `Scores.row`
+_TOLD = ("return", "score", "robust_score", "spread", *WORK)  # see `Scores.row`
 
 
 class Ledger:

@@ -12,7 +12,7 @@ from evogymcm.algos.codesign.inner_loop import MakeEnv, Policy, holding, stack_p
 from evogymcm.algos.codesign.material_search import MaterialSearch
 from evogymcm.algos.learning.actor import Actor, load_actor
 from evogymcm.algos.learning.config import Selection
-from evogymcm.algos.learning.evaluation import draws_of, evaluate, mean_of_rows
+from evogymcm.algos.learning.evaluation import draws_of, evaluate, mean_of_rows, mean_work
 from evogymcm.algos.learning.grouping import InGroups
 from evogymcm.algos.learning.stacking import PerDesign
 from evogymcm.algos.learning.threads import limited_threads
@@ -32,6 +32,7 @@ class Scores:
         env_steps: simulated in all.
         robust: (D,) mean scores over starts that differ by a hair, see `evaluate`.
         spread: (D,) standard deviations over them; NaN where there is only the exact one.
+        work: (D, 4) work of an episode, see `Evaluation`; NaN where it is not measured.
     """
 
     score: np.ndarray
@@ -40,6 +41,7 @@ class Scores:
     env_steps: int
     robust: np.ndarray
     spread: np.ndarray
+    work: np.ndarray
 
     def by(self, selection: Selection) -> np.ndarray:
         """Returns what designs are selected by, (D,)."""
@@ -50,7 +52,7 @@ class Scores:
         told = {"return": self.returns}
         if np.isfinite(self.spread[index]):
             told |= {"score": self.score, "robust_score": self.robust, "spread": self.spread}
-        return {name: float(values[index]) for name, values in told.items()}
+        return {name: float(values[index]) for name, values in told.items()} | mean_work(self.work[index : index + 1])
 
 
 def _score(
@@ -75,7 +77,8 @@ def _score(
         env.close(raise_if_closed=False)
     parts = (result.score, result.returns, result.ceiling, result.robust, result.spread)
     score, returns, ceiling, robust, spread = (mean_of_rows(part.reshape(draws, n)) for part in parts)
-    return Scores(score, returns, ceiling, result.env_steps, robust, spread)
+    work = mean_of_rows(result.work.reshape(draws, n, -1))
+    return Scores(score, returns, ceiling, result.env_steps, robust, spread, work)
 
 
 def _actors(policies: Sequence[Policy], columns: int) -> list[Actor]:
@@ -128,7 +131,8 @@ def score_together(
     flat = _score(make_env, designs, make_policy, seed, starts)
     parts = (flat.score, flat.returns, flat.ceiling, flat.robust, flat.spread)
     score, returns, ceiling, robust, spread = (part.reshape(-1, len(policies)).T.copy() for part in parts)
-    return Scores(score, returns, ceiling, flat.env_steps, robust, spread)
+    work = flat.work.reshape(-1, len(policies), flat.work.shape[1]).transpose(1, 0, 2).copy()
+    return Scores(score, returns, ceiling, flat.env_steps, robust, spread, work)
 
 
 def score_proposals(

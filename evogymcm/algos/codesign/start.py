@@ -28,7 +28,8 @@ def make_body_search(config: CodesignConfig) -> DesignSearch:
 
 def env_maker(config: CodesignConfig) -> partial[SoftRobotEnv]:
     """Returns what makes the run's environments, see `train_designs`."""
-    options: dict[str, Any] = {name: getattr(config, name) for name in ("material", "edge_rule", "num_threads")}
+    names = ("material", "edge_rule", "work_weight", "num_threads")
+    options: dict[str, Any] = {name: getattr(config, name) for name in names}
     return partial(SoftRobotEnv, config.task, **options)
 
 

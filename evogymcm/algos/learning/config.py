@@ -6,7 +6,16 @@ from typing import Literal, get_args
 import numpy as np
 
 from evogymcm._messages import brief
-from evogymcm._settings import EdgeRule, Material, check_count, check_fields, check_number, check_pair
+from evogymcm._settings import (
+    EdgeRule,
+    Material,
+    WorkWeight,
+    check_count,
+    check_fields,
+    check_number,
+    check_pair,
+    check_work_weight,
+)
 from evogymcm.algos.learning.bodies import N_HELD_OUT, as_texts, default_body, held_out_bodies, written_out
 from evogymcm.body import STIFFNESS_HIGH, STIFFNESS_LOW, Body, as_body, check_stiffness
 
@@ -155,6 +164,8 @@ class TrainConfig:
         random_bodies: Rows and columns of random bodies instead of `bodies`: every episode of every world has a fresh
             one. Evaluations use `ppo.eval_worlds` bodies (64 by default) that no run trains on, the same ones in all
             runs.
+        work_weight: What a unit of supplied work costs in reward: a number, or one for work of actuation and one for
+            work of stiffness. 0 has evaluations tell the work; None does not measure it. Scores are always the task's.
         ppo: Settings of PPO.
 
     Raises:
@@ -167,6 +178,7 @@ class TrainConfig:
     stiffness: float | tuple[Field, ...] | None = None
     edge_rule: EdgeRule = "mean_factor"
     random_bodies: tuple[int, int] | None = None
+    work_weight: WorkWeight = None
     ppo: PPOConfig = field(default_factory=PPOConfig)
 
     def __post_init__(self) -> None:
@@ -176,6 +188,7 @@ class TrainConfig:
             raise ValueError(f"ppo: got {brief(self.ppo)}, expected a PPOConfig")
         object.__setattr__(self, "bodies", as_texts(self.bodies))
         check_fields(self, {"stiffness": {"low": STIFFNESS_LOW, "high": STIFFNESS_HIGH}})
+        object.__setattr__(self, "work_weight", check_work_weight(self.work_weight))
         if self.random_bodies is not None:
             self._check_stream()
         if self.stiffness is None:

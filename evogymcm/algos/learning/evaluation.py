@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from evogymcm._settings import check_count
+from evogymcm._settings import WORK, check_count
 from evogymcm.algos.learning.playing import Gait, play
 from evogymcm.envs.engines import engine_of
 from evogymcm.envs.task import Task
@@ -30,6 +30,8 @@ class Evaluation:
         ceiling: largest possible score, NaN for tasks without one.
         env_steps: env-steps simulated in all, from all starts; worlds that wait for others are not simulated.
         starts: (K, N) scores from K starts, a hair apart, see `evaluate`; the first row is `score`.
+        work: (N, 4) work of the episode: what actuation and what stiffness supplied, then the net work of both; NaN
+            where it was not measured, see `EngineOptions`.
     """
 
     score: NDArray[np.float64]
@@ -40,6 +42,7 @@ class Evaluation:
     ceiling: NDArray[np.float64]
     env_steps: int
     starts: NDArray[np.float64]
+    work: NDArray[np.float64]
 
     @property
     def robust(self) -> NDArray[np.float64]:
@@ -60,7 +63,7 @@ class Evaluation:
         return self.score / self.ceiling
 
     def summary(self) -> dict[str, float]:
-        """Returns the means over worlds, ready for a table; goal, ceiling and starts only if there are any."""
+        """Returns the means over worlds, ready for a table; goal, ceiling, starts and work only if there are any."""
         row = {
             "score": float(self.score.mean()),
             "return": float(self.returns.mean()),
@@ -74,7 +77,7 @@ class Evaluation:
             row["fraction_of_ceiling"] = float(self.fraction.mean())
         if len(self.starts) > 1:
             row |= {"robust_score": float(self.robust.mean()), "spread": float(self.spread.mean())}
-        return row
+        return row | mean_work(self.work)
 
     def as_dict(self) -> dict[str, list[Any]]:
         """Returns all arrays as lists, ready for JSON."""
@@ -84,6 +87,11 @@ class Evaluation:
 def draws_of(task: object) -> int:
     """Returns how many episodes tell what a policy is worth: one, or several where they differ by random draws."""
     return 1 if getattr(type(task), "draw", Task.draw) is Task.draw else _RANDOM_DRAWS
+
+
+def mean_work(work: NDArray[np.float64]) -> dict[str, float]:
+    """Returns the mean row of (N, 4) work by the names in infos; nothing where it was not measured."""
+    return dict(zip(WORK, work.mean(0).tolist(), strict=True)) if np.isfinite(work).all() else {}
 
 
 def mean_of_rows(rows: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -140,4 +148,5 @@ def _outcome(policy: "TensorDictModuleBase | Gait", env: object, starts: int) ->
         last.ceiling[:n],
         int(last.length.sum()),
         last.score.reshape(starts, n),
+        last.work[:n],
     )

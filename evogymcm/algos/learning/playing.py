@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from evogymcm._settings import WORK
 from evogymcm.envs.core import TaskEngine
 from evogymcm.envs.engines import engine_of
 
@@ -14,7 +15,7 @@ if TYPE_CHECKING:  # gaits are played without torch
     from tensordict.nn import TensorDictModuleBase
 
 Gait = Callable[[TaskEngine], tuple[np.ndarray, np.ndarray | None]]
-_RECORDS = ("score", "returns", "unstable", "goal")
+_RECORDS = ("score", "returns", "unstable", "goal", "work")
 
 
 class Episodes:
@@ -29,6 +30,7 @@ class Episodes:
         goal: whether the episode ended at a goal of the task.
         unstable: whether the simulation became unstable.
         ceiling: largest possible score, NaN where there is none.
+        work: (N, 4) work of the episode, see `TaskEngine`; NaN where it is not measured.
     """
 
     def __init__(self, ceiling: NDArray[np.float64]) -> None:
@@ -36,6 +38,7 @@ class Episodes:
         self.step, self.ceiling, self.running = 0, ceiling, np.ones(n, bool)
         self.length, self.score, self.returns = np.zeros(n, np.int64), np.zeros(n), np.zeros(n)
         self.goal, self.unstable = np.zeros(n, bool), np.zeros(n, bool)
+        self.work = np.full((n, len(WORK)), np.nan)
 
     def _take(self, outcome: "_Outcome") -> None:
         """Takes what came of an env-step, for the worlds that are running."""
@@ -47,7 +50,7 @@ class Episodes:
         self.running = self.running & ~done
 
 
-_Outcome = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]  # the records, then which worlds are done
+_Outcome = tuple[np.ndarray, ...]  # the records, then which worlds are done
 
 
 class _Stage(Protocol):
@@ -73,7 +76,9 @@ class _OnEngine:
     def step(self, running: NDArray[np.bool_]) -> _Outcome:
         engine = self._engine
         engine.step(*self._gait(engine), mask=None if running.all() else running)
-        return engine.score, engine.returns, engine.unstable, engine.reached, engine.terminated | engine.truncated
+        work = np.full((len(running), len(WORK)), np.nan) if engine.work is None else engine.work
+        ended = engine.terminated | engine.truncated
+        return engine.score, engine.returns, engine.unstable, engine.reached, work, ended
 
 
 class _InEnvironment:
@@ -96,8 +101,14 @@ class _InEnvironment:
                 acted.set("_step", torch.from_numpy(running).reshape(env.batch_size))
             stepped = env.step(acted)
         self._state = env.step_mdp(stepped)
-        keys = ("score", "return", "unstable", "reached", "done")
-        return tuple(stepped["next", key].reshape(len(running)).cpu().numpy() for key in keys)
+        told = stepped["next"]
+
+        def of(key: str) -> np.ndarray:
+            return told[key].reshape(len(running)).cpu().numpy()
+
+        nothing = np.full(len(running), np.nan)
+        work = np.stack([of(key) if key in told.keys() else nothing for key in WORK], axis=1)
+        return of("score"), of("return"), of("unstable"), of("reached"), work, of("done")
 
 
 def play(policy: "TensorDictModuleBase | Gait", env: object, *, steps: int | None = None) -> Iterator[Episodes]:

@@ -110,6 +110,7 @@ def make_trainer(config: TrainConfig, num_threads: int | None = None) -> Trainer
         material=config.material,
         stiffness=fields,
         edge_rule=config.edge_rule,
+        work_weight=config.work_weight,
         num_threads=num_threads,
         grid_shape=config.random_bodies,
     )

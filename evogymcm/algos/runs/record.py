@@ -9,6 +9,7 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
+from evogymcm._settings import WORK
 from evogymcm.algos.runs.folder import RunFiles, RunFolder
 from evogymcm.algos.runs.older import present_settings
 from evogymcm.body import Body
@@ -24,7 +25,7 @@ _IN_OTHER_FILES = ("config", "rows", "signals", "path")
 _LABELS = ("variant", "label", "arm")  # by which experiments compare
 _EVALUATION = (  # see `Evaluation.summary`
     *("score", "return", "episode_length", "goal_rate", "unstable", "steps_to_goal", "fraction_of_ceiling"),
-    *("robust_score", "spread"),
+    *("robust_score", "spread", *WORK),
 )
 _FIRST_PHASES = ("screen", "train")  # of a generation of co-design
 _MATERIALS = {  # of arms, as earlier versions called comparisons of settings

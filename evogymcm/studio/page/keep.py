@@ -11,6 +11,7 @@ from urllib.parse import urlencode
 import numpy as np
 from nicegui import run, ui
 
+from evogymcm.studio.exports import film, zip_sheet
 from evogymcm.studio.page.start import new_dialog
 from evogymcm.studio.page.theme import ICON, icon_button
 from evogymcm.studio.sessions import Session, Studio
@@ -50,6 +51,7 @@ class Header:
             ("Design (.json)", self._download_design),
             ("Body for EvoGym (.npz)", self._download_body),
             ("Body as text (.txt)", self._download_text),
+            ("Sheet for fabrication (.zip)", self._choose_sheet),
         ):
             ui.menu_item(text, handle)
         ui.separator()
@@ -123,10 +125,35 @@ class Header:
         np.savez(file, body.grid, body.connections)
         ui.download.content(file.getvalue(), f"{self._session.id}.npz", "application/octet-stream")
 
+    def _choose_sheet(self) -> None:
+        with ui.dialog(value=True), ui.card().classes("studio-card studio-dialog"):
+            ui.label("Sheet for fabrication").classes("studio-title")
+            ui.label("A drawing in true size, a table of the voxels, and a mesh for each material.").classes(
+                "studio-small"
+            )
+            with ui.element("div").classes("studio-bar"):
+                size = ui.number("Edge of a voxel, mm", value=10, min=0.1, step=1).props("dense outlined").mark("edge")
+                classes = ui.number("Classes of stiffness", value=5, min=1, step=1, precision=0)
+                classes.props("dense outlined").mark("classes")
+
+                async def make() -> None:
+                    await self._download_sheet(float(size.value or 0), int(classes.value or 0))
+
+                ui.button("Make it", icon="download", on_click=make).props("unelevated no-caps").mark("sheet")
+
+    async def _download_sheet(self, size: float, classes: int) -> None:
+        try:
+            with self._session.lock:
+                drawing = self._session.design.drawing
+                body, field = drawing.body(), drawing.stiffness
+            content = await run.io_bound(zip_sheet, body, field, size=size, classes=classes)
+        except (ValueError, OSError, ImportError) as error:
+            ui.notify(str(error), type="warning", multi_line=True)
+            return
+        ui.download.content(content or b"", f"{self._session.id}-sheet.zip", "application/zip")
+
     async def _film(self, suffix: str, view: str) -> None:
         """Makes a video of the robot as it moves now, beside the page."""
-        from evogymcm.studio.filming import film
-
         note = ui.notification("Making the video …", spinner=True, timeout=None)
         try:
             wanted = self._session.wanted()

@@ -307,3 +307,15 @@ def test_a_run_of_before_there_were_several_starts_is_gone_on_with(tmp_path):
     assert RunFolder(run.path, asdict(TINY), resume=True).config
     with pytest.raises(ValueError, match="eval_starts: got 2, the run has 1"):
         RunFolder(run.path, asdict(replace(TINY, eval_starts=2)), resume=True)
+
+
+def test_work_is_told_of_each_design_and_changes_no_fitness(tmp_path):
+    run, config = tmp_path / "run", replace(SEARCHING, budget=4)
+    plain, measured = codesign(config), codesign(replace(config, work_weight=0), run=run)
+    assert [row["fitness"] for row in measured.rows] == [row["fitness"] for row in plain.rows]
+    assert all(row["actuation_work"] > 0 == row["stiffness_work"] for row in measured.rows)
+    assert not any("actuation_work" in row for row in plain.rows)
+    best = RunRecord.read(run).best
+    assert best["actuation_work"] in [row["actuation_work"] for row in measured.rows if row["index"] == best["index"]]
+    dear = codesign(replace(config, work_weight=1.0))
+    assert [row["fitness"] for row in dear.rows] != [row["fitness"] for row in plain.rows]  # policies learn otherwise

@@ -184,3 +184,24 @@ def test_worlds_that_are_no_repetition_are_refused_before_they_are_played(crawle
         TaskEngine(DRAWN, lambda rng: cm.sample_body((3, 3), rng), 2, grid_shape=(3, 3)).set_starts(2)
     with pytest.raises(ValueError, match="env: got ToyEnv"):
         evaluate(_Wave(), ToyEnv(num_worlds=2), 2)
+
+
+def test_work_is_that_of_the_engine_where_it_is_measured():
+    options = {"material": "reactive", "num_threads": 1}
+    task = replace(cm.tasks["Walker-v0"], time_limit=5)
+    env = SoftRobotEnv(task, ["HVH/S.R", "HHH"], work_weight=1e-3, **options)
+    policy = make_actor(env)
+    result = evaluate(policy, env)
+    assert result.work.tolist() == env.engine.work.tolist()
+    assert (result.work[:, :2] > 0).all()
+    assert result.summary()["net_stiffness_work"] == result.work[:, 3].mean()
+    assert evaluate(policy, env, 1).work.tolist() == result.work.tolist()
+    engine = TaskEngine(task, ["HVH/S.R", "HHH"], work_weight=0, **options)
+    np.testing.assert_allclose(evaluate(policy, engine).work, result.work)  # as features of the engine
+    plain = evaluate(policy, SoftRobotEnv(task, ["HVH/S.R", "HHH"], **options))
+    assert plain.score.tolist() == result.score.tolist()
+    assert plain.returns.tolist() == result.returns.tolist()
+    assert np.isnan(plain.work).all()
+    assert not [name for name in plain.summary() if "work" in name]
+    several = SoftRobotEnv(task, ["HVH/S.R", "HHH"], 4, work_weight=0, **options)
+    assert evaluate(policy, several, 2).work.tolist() == result.work.tolist()  # of the exact start

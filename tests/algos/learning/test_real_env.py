@@ -104,7 +104,9 @@ def _told(*starts):
     rows = np.array(starts, dtype=float)
     n = rows.shape[1]
     nothing = np.zeros(n, bool)
-    return Evaluation(rows[0], rows[0], np.ones(n, int), nothing, nothing, np.full(n, np.nan), rows.size, rows)
+    unknown = np.full(n, np.nan)
+    none = np.full((n, 4), np.nan)
+    return Evaluation(rows[0], rows[0], np.ones(n, int), nothing, nothing, unknown, rows.size, rows, none)
 
 
 @pytest.mark.parametrize("selection", ["score", "robust"])

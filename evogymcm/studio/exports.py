@@ -1,14 +1,19 @@
-"""Videos of a design, drawn by the library's renderer."""
+"""What leaves the studio of a design: videos, and sheets for fabrication."""
 
+import io
+import tempfile
+import zipfile
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from evogymcm.body import as_body
+from evogymcm.body import Body, as_body
 from evogymcm.envs import Renderer, write_video
 from evogymcm.envs.render.renderer import FPS
 from evogymcm.envs.tasks import as_task
+from evogymcm.fabrication import export_design
 from evogymcm.studio.driving import Driver
 from evogymcm.studio.stage import Stage
 from evogymcm.studio.watching import Wanted, read_field
@@ -46,3 +51,12 @@ def film(wanted: Wanted, path: Path, *, steps: int = 250, view: str = "types") -
         return write_video(path, frames(), FPS / EVERY)
     finally:
         stage.engine.close()
+
+
+def zip_sheet(body: Body, stiffness: np.ndarray, **options: Any) -> bytes:
+    """Returns the files of a sheet for fabrication as a ZIP file; options and errors are those of `export_design`."""
+    file = io.BytesIO()
+    with tempfile.TemporaryDirectory() as folder, zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
+        for path in export_design(body, stiffness, Path(folder) / "sheet", **options):
+            archive.write(path, path.name)
+    return file.getvalue()
