@@ -82,6 +82,7 @@ def test_pages_with_code_are_these():
         "fabrication",
         "from-evogym",
         "from-jax-evogym",
+        "gaits",
         "gymnasium",
         "index",
         "learning",
@@ -130,7 +131,7 @@ def test_commands_of_the_pages_exist(capsys):
     main = script.load()
     text = "".join(PAGES.values()) + (ROOT / "README.md").read_text(encoding="utf-8")
     named = set(re.findall(r"(?:python -m evogymcm|^evogymcm|`evogymcm) (\w+)", text, re.MULTILINE))
-    assert {"codesign", "report", "selfcheck", "tasks", "train", "warmup", "watch"} <= named
+    assert {"codesign", "gait", "report", "selfcheck", "tasks", "train", "warmup", "watch"} <= named
     lines = re.findall(r"(?:python -m evogymcm|^evogymcm|`evogymcm) (\w+)([^#`\n]*)", text, re.MULTILINE)
     for command in named:
         with pytest.raises(SystemExit) as stop:

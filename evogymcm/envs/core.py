@@ -211,6 +211,21 @@ class TaskEngine(Observed, Episodes):
         if self._stream is not None:
             self._stream.set_seed(seeds)
 
+    def stagger(self, seed: int = 0) -> None:
+        """Spreads the ends of the present episodes evenly over the time limit, without simulating anything.
+
+        Worlds that begin together end together, again and again: a learner would see one part of the episode at a time,
+        and the bodies of a stream would change all at once. So each world's present episode counts as begun earlier
+        than it was, and only the later ones are whole. Tasks without a time limit stay as they are.
+
+        Args:
+            seed: Of the order in which the worlds end.
+        """
+        limit = int(self._time_limit)
+        if limit < np.iinfo(np.int64).max:
+            order = np.random.default_rng(seed).permutation(self.num_worlds)
+            self.length = order * limit // self.num_worlds
+
     def set_starts(self, starts: int, seed: int = 0) -> None:
         """Makes the worlds n = N / starts worlds several times over, from starts that differ by a hair.
 

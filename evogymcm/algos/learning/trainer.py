@@ -127,6 +127,8 @@ class Trainer:
                 auto_register_policy_transforms=False,
                 track_traj_ids=False,
             )
+        if is_stream:
+            engine_of(env).stagger(self.config.seed)
 
     def _check_starts(self, env: EnvBase) -> None:
         """Raises a ValueError where an evaluation cannot have as many starts as the settings say."""
