@@ -32,6 +32,7 @@ from evogymcm._grid import (
     is_connected,
 )
 from evogymcm._messages import brief, known
+from evogymcm._settings import check_array
 
 __all__ = [
     "EMPTY",
@@ -225,15 +226,20 @@ def check_stiffness(stiffness: ArrayLike | None, body: Body) -> NDArray[np.float
     Raises:
         ValueError: The shape is not the body's, or a voxel's factor is outside [0.5, 2] or not a number.
     """
+    return check_field(stiffness, body.occupancy)
+
+
+def check_field(stiffness: ArrayLike | None, occupancy: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Returns a new stiffness field for voxels that need not form a body, see `check_stiffness`."""
     if stiffness is None:
-        return np.ones(body.shape)
+        return np.ones(occupancy.shape)
     try:
         field = as_numbers(stiffness)
     except (TypeError, ValueError) as error:
         raise ValueError(f"stiffness: expected equally long rows of numbers, got {brief(stiffness)}") from error
-    if field.shape != body.shape:
-        raise ValueError(f"stiffness: got shape {field.shape}, expected the body's {body.shape}")
-    field[~body.occupancy] = 1.0
+    if field.shape != occupancy.shape:
+        raise ValueError(f"stiffness: got shape {field.shape}, expected the body's {occupancy.shape}")
+    field[~occupancy] = 1.0
     if not np.all((field >= STIFFNESS_LOW) & (field <= STIFFNESS_HIGH)):
         raise ValueError(
             f"stiffness: got values from {field.min()} to {field.max()}, "
@@ -337,7 +343,7 @@ def check_weights(weights: Sequence[float]) -> tuple[float, ...]:
     Raises:
         ValueError: They are not five numbers >= 0 with one above 0 for an actuator.
     """
-    values = np.asarray(weights, dtype=np.float64)
+    values = check_array("weights", weights)
     if values.shape != (5,) or not np.all(np.isfinite(values) & (values >= 0.0)):
         raise ValueError(f"weights: got {brief(weights)}, expected five finite numbers >= 0")
     if not values[[H_ACT, V_ACT]].any():

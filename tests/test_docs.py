@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.clients.recipe import SMALLER as OF_RECIPES
 from tests.registries import shorten
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -27,7 +28,7 @@ SMALLER = {  # budgets of the pages, and those of the tests
     "total_steps=100_000, num_worlds=16": "total_steps=32, num_worlds=4, rollout_steps=8, eval_interval=0",
     "SearchConfig(), population=8, budget=32": "SearchConfig(rounds=1), population=2, budget=2",
     "total_steps=500_000, num_worlds=64": "total_steps=64, num_worlds=16, rollout_steps=4",
-    "total_timesteps=100_000": "total_timesteps=512",
+    **OF_RECIPES,
 }
 LONG = {"codesign", "other-libraries"}  # these take more than about ten seconds
 WHOLE = {"tasks"}  # pages that show how long an episode is; on the others those of Walker-v0 are 25 env-steps long
