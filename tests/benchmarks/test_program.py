@@ -66,6 +66,7 @@ def test_every_setting_can_be_given():
         (["sharing", "--bodies", "1"], "bodies"),
         (["sharing", "--task", "Hopper-v0"], "Hopper-v0"),
         (["sharing", "--context", "all"], "all"),
+        (["gaits", "--gait.seed", "1"], "gait.seed"),
         (["signals"], "folders"),
     ],
 )
@@ -128,6 +129,7 @@ def test_a_failed_run_does_not_take_the_others_with_it(tmp_path, monkeypatch, ca
         ("C --tasks Walker-v0 --codesign.max-env-steps 5000 --codesign.ppo.total-steps 512", 2, None),
         ("contexts --arms attention mlp --ppo.total-steps 96 --ppo.num-worlds 1", 2, 96),
         ("sharing --bodies 2 --unseen 2 --total-steps 128 --finetune-steps 32 --worlds 1", 2, None),
+        ("gaits --short-steps 5000 --held-out 1 --gait.env-steps 6000 --gait.first 4 --gait.trial-steps 50", 3, None),
     ],
 )
 def test_a_tiny_experiment_from_end_to_end(arguments, n_runs, env_steps, tmp_path):
