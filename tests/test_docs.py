@@ -140,3 +140,27 @@ def test_commands_of_the_pages_exist(capsys):
         assert f"evogymcm {command}" in shown
         options = {option for name, rest in lines if name == command for option in re.findall(r"--[\w.-]+", rest)}
         assert all(re.search(rf"(?<![\w-]){re.escape(option)}(?![\w.-])", shown) for option in options), options
+
+
+def test_every_public_name_of_evogym_has_a_place_on_its_page():
+    named = set(re.findall(r"\w+", " ".join(re.findall("`([^`]+)`", FENCE.sub("", PAGES["from-evogym"])))))
+    utils = "BASELINE_ENV_NAMES VOXEL_TYPES Pair Timer draw get_full_connectivity get_uniform has_actuator hashable"
+    worlds = """
+        EvoWorld WorldObject from_json load_from_json from_array load_from_array add_from_json add_from_array add_object
+        remove_object translate_object move_object pretty_print translate set_pos get_structure get_connections get_pos
+        rename get_name copy
+    """
+    simulator = """
+        EvoSim set_action step reset revert get_time pos_at_time vel_at_time object_pos_at_time object_vel_at_time
+        object_orientation_at_time get_actuator_indices get_dim_action_space
+    """
+    viewer = """
+        EvoViewer render set_resolution set_view_size set_pos set_target_rps show_debug_window hide_debug_window close
+        track_objects set_tracking_settings
+    """
+    environments = """
+        EvoGymBase BenchmarkBase PackageBase ClimbBase StairsBase ShapeBase GoalBase VOXEL_SIZE DATA_PATH sim world
+        default_viewer get_pos_com_obs get_vel_com_obs get_relative_pos_obs get_ort_obs get_floor_obs get_ceil_obs
+    """
+    names = f"{utils} sample_robot is_connected {worlds} {simulator} {viewer} {environments}".split()
+    assert [name for name in names if name not in named] == []

@@ -163,7 +163,7 @@ def _print_best(config: CodesignConfig, result: "CodesignResult", path: Path) ->
     print(f"score   {score:.3f}{bound}: its stored policy, deterministic, in a fresh world")
     print(f"return  {alone.returns[0]:.3f}")
     if config.eval_starts > 1:
-        hair = f"the score from {config.eval_starts} starts that differ by a hair"
+        hair = f"the score from {config.eval_starts} starts that differ by 1e-6 m"
         print(f"robust  {alone.robust[0]:.3f} ± {alone.spread[0]:.3f}: {hair}")
     for line in work_lines(alone.row(0)):
         print(line)

@@ -154,7 +154,7 @@ def _print_result(result: "TrainResult", bodies: Sequence[str], path: Path) -> N
         if len(final.starts) > 1:
             robust, spread = (values[i :: len(bodies)].mean() for values in (final.robust, final.spread))
             print(
-                f"robust  {robust:.3f} ± {spread:.3f}: the score from {len(final.starts)} starts that differ by a hair"
+                f"robust  {robust:.3f} ± {spread:.3f}: the score from {len(final.starts)} starts that differ by 1e-6 m"
             )
     for line in work_lines(mean_work(final.work)):
         print(line)
