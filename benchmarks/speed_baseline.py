@@ -217,6 +217,9 @@ def main(options: Options) -> int:
     """Measures, then stores or compares; returns the exit status."""
     torch.set_num_threads(1)
     names = [name for name in ENTRIES if not options.only or name.startswith(options.only)]
+    stored = {} if options.write else json.loads(BASELINE.read_text(encoding="utf-8"))["entries"]
+    if not options.write and (new := [name for name in names if name not in stored]):
+        raise ValueError(f"{BASELINE.name}: {new} have no stored ratio; store them with --write")
     runs: list[dict[str, float]] = []
     origin = find_origin()
     for _ in range(options.runs):
@@ -226,7 +229,6 @@ def main(options: Options) -> int:
             BASELINE.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
     if options.write:
         return 0
-    stored = json.loads(BASELINE.read_text(encoding="utf-8"))["entries"]
     measured = {name: statistics.median(run[name] for run in runs) for name in names}
     for _ in range(_TRIES - 1):
         for name in slowed(stored, measured):
