@@ -3,8 +3,11 @@
 import contextlib
 import importlib
 import io
+import os
 import pkgutil
 import re
+import shutil
+import subprocess
 import sys
 import types
 from importlib.metadata import entry_points
@@ -16,6 +19,7 @@ import pytest
 from tests.registries import shorten
 
 ROOT = Path(__file__).resolve().parents[1]
+BROWSER = shutil.which("chromium") or shutil.which("google-chrome")
 PAGES = {path.stem: path.read_text(encoding="utf-8") for path in sorted((ROOT / "docs").glob("*.md"))}
 FENCE = re.compile(r"^```(?P<info>.+)\n(?P<content>(?:.*\n)*?)```$", re.MULTILINE)
 OUTPUT = 'text title="Output"'
@@ -116,6 +120,20 @@ def test_search_works_from_disk_and_pages_load_nothing_from_elsewhere():
     (script,) = config["extra"]["polyfills"]
     assert "iframe-worker" in script  # by this name the plugin knows that it need not fetch its own
     assert (ROOT / "docs" / script).is_file()
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(BROWSER is None, reason="needs chromium or google-chrome")
+def test_search_box_finds_pages_of_the_site_opened_from_disk(tmp_path):
+    pytest.importorskip("mkdocs")
+    site = tmp_path / "site"
+    command = [sys.executable, "-m", "mkdocs", "build", "--quiet", "--site-dir", str(site)]
+    subprocess.run(command, cwd=ROOT, check=True, env=os.environ | {"NO_MKDOCS_2_WARNING": "1"})
+    options = ["--headless", "--no-sandbox", "--disable-gpu", "--virtual-time-budget=8000", "--dump-dom"]
+    page = f"{(site / 'index.html').as_uri()}?q=hardness"
+    done = subprocess.run([BROWSER, *options, page], capture_output=True, text=True, check=True, timeout=60)
+    found = re.findall(r'href="([^"]*)" class="md-search-result__link"', done.stdout)
+    assert any(target.startswith(f"{(site / 'fabrication.html').as_uri()}") for target in found)
 
 
 def test_functions_of_the_journeys_exist():

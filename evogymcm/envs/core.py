@@ -32,7 +32,7 @@ class TaskEngine(Observed, Episodes):
 
     Args:
         task: A task or its id.
-        bodies: A body or a list of bodies (anything that `as_body` takes): world w has body w % n of n. Or a stream,
+        bodies: A body or a list of n bodies (anything that `as_body` takes): world w has body w % n. Or a stream,
             from which a world gets a new body at each reset: `draw(rng)`, called with the world's own generator, which
             is made from its seed, or an iterator, which cannot be seeded or saved. In the invariant setting a stream
             may return (body, stiffness).

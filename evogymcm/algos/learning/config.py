@@ -165,7 +165,7 @@ class TrainConfig:
             one. Evaluations use `ppo.eval_worlds` bodies (64 by default) that no run trains on, the same ones in all
             runs.
         work_weight: What a unit of supplied work costs in reward: a number, or one for work of actuation and one for
-            work of stiffness. 0 has evaluations tell the work; None does not measure it. Scores are always the task's.
+            work of stiffness. With 0 it is only reported, with None not measured. Scores are always the task's.
         ppo: Settings of PPO.
 
     Raises:
