@@ -33,7 +33,7 @@ materials:
   --material invariant --search           stiffness belongs to the design and is searched, and survivors are fine-tuned
 
 Any of the --search options turns the search on. The --ppo options are those of one body. Ctrl-C stops at the end of the
-present update; --resume goes on from there.
+present update; --resume continues from there.
 
 examples:
   evogymcm codesign Walker-v0 --population 8 --budget 32

@@ -30,7 +30,7 @@ if TYPE_CHECKING:  # torch is loaded when a command runs, not for its help
 
 DESCRIPTION = """Trains a policy with PPO and keeps it in a run folder.
 
-Ctrl-C stops at the end of the present update; --resume goes on from there.
+Ctrl-C stops at the end of the present update; --resume continues from there.
 
 examples:
   evogymcm train Walker-v0 --body Walk_Bot --total-steps 200000
