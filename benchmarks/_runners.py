@@ -204,7 +204,6 @@ class _Collector(Runner):
             _random_policy(workload, env),
             frames_per_batch=self.steps_at_once,
             total_frames=-1,
-            auto_register_policy_transforms=False,
         )
         self.batches = iter(self.collector)
 

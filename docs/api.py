@@ -21,6 +21,7 @@ ROOMS = (
     "evogymcm.envs",
     "evogymcm.algos.learning",
     "evogymcm.algos.codesign",
+    "evogymcm.algos.gaits",
     "evogymcm.algos.runs",
     "evogymcm.algos.analysis",
     "evogymcm.report",

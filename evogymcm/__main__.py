@@ -21,6 +21,7 @@ COMMANDS: MappingProxyType[str, str] = MappingProxyType(  # modules of `evogymcm
         "selfcheck": "compare this machine's bits with the package's",
         "tasks": "list the tasks: ids, episode lengths, score ceilings, what they ask for",
         "watch": "show robots at work, in a window or as a video",
+        "gait": "search for a gait that moves a body, within seconds",
         "train": "train a policy for given bodies",
         "codesign": "evolve bodies, materials and control together",
         "report": "make an HTML report of training, co-design or suite folders",

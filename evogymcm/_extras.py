@@ -40,4 +40,4 @@ def load_plotly() -> Any:
 
 def load_cma() -> Any:
     """Returns the package for CMA-ES; an ImportError where it is missing."""
-    return load_extra("cma", "proposal 'cma' needs the package cma", "cma")
+    return load_extra("cma", "CMA-ES (proposal 'cma', gaits) needs the package cma", "cma")

@@ -117,10 +117,13 @@ def as_numbers(values: ArrayLike) -> NDArray[np.float64]:
     """Returns a new array of numbers, also of rows that are arrays in an array of objects, as data frames hold them.
 
     Raises:
-        TypeError, ValueError: They are no numbers, or rows of different length.
+        TypeError, ValueError: They are no numbers, numbers out of all range, or rows of different length.
     """
     rows = list(values) if isinstance(values, np.ndarray) and values.dtype == object and values.ndim else values
-    return np.array(rows, dtype=np.float64)
+    try:
+        return np.array(rows, dtype=np.float64)
+    except OverflowError as error:
+        raise ValueError(str(error)) from error
 
 
 def check_grid(grid: ArrayLike, n_codes: int) -> Grid:

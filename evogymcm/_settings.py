@@ -10,6 +10,8 @@ from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 
+from evogymcm._messages import brief
+
 # What several settings allow, for type checkers, the command line and the checks alike.
 Material = Literal["invariant", "reactive"]
 EdgeRule = Literal["mean_factor", "mean_stiffness"]
@@ -48,7 +50,7 @@ def check_fields(config: Any, bounds: Mapping[str, Mapping[str, Any]]) -> None:
 def check_count(name: str, value: Any, low: int = 1) -> int:
     """Returns a whole number, as 1e6 and numpy's are too."""
     if not _is_finite(value) or value != math.floor(value) or value < low:
-        raise ValueError(f"{name}: got {value!r}, expected a whole number of at least {low}")
+        raise ValueError(f"{name}: got {brief(value)}, expected a whole number of at least {low}")
     return int(value)
 
 
@@ -66,29 +68,37 @@ def check_number(
     given = [(text, fits, bound) for text, fits, bound in bounds if bound is not None]
     if not _is_finite(value) or not all(fits(value, bound) for _, fits, bound in given):
         allowed = " and ".join(f"{text} {bound:g}" for text, _, bound in given)
-        raise ValueError(f"{name}: got {value!r}, expected a finite number {allowed}".rstrip())
+        raise ValueError(f"{name}: got {brief(value)}, expected a finite number {allowed}".rstrip())
     return float(value)
 
 
 def check_flag(name: str, value: Any) -> bool:
     """Returns True or False."""
     if not isinstance(value, bool | np.bool_):
-        raise ValueError(f"{name}: got {value!r}, expected True or False")
+        raise ValueError(f"{name}: got {brief(value)}, expected True or False")
     return bool(value)
 
 
 def check_choice(name: str, value: Any, allowed: Sequence[str]) -> str:
     """Returns one of the values allowed."""
     if not isinstance(value, str) or value not in allowed:
-        raise ValueError(f"{name}: got {value!r}, allowed are {', '.join(allowed)}")
+        raise ValueError(f"{name}: got {brief(value)}, allowed are {', '.join(allowed)}")
     return value
 
 
 def check_numbers(name: str, value: Any) -> tuple[float, ...]:
     """Returns a sequence of finite numbers as a tuple."""
-    if isinstance(value, str) or np.ndim(value) != 1:
-        raise ValueError(f"{name}: got {value!r}, expected a sequence of numbers")
+    if _length(value) is None:
+        raise ValueError(f"{name}: got {brief(value)}, expected a sequence of numbers")
     return tuple(check_number(name, item) for item in value)
+
+
+def check_array(name: str, value: Any) -> np.ndarray:
+    """Returns numbers as a new float64 array of their shape; they may be infinite or NaN."""
+    try:
+        return np.array(value, np.float64, order="C")
+    except (TypeError, ValueError, OverflowError) as error:
+        raise ValueError(f"{name}: got {brief(value)}, expected an array of numbers") from error
 
 
 def check_work_weight(value: Any) -> tuple[float, float] | None:
@@ -101,12 +111,26 @@ def check_work_weight(value: Any) -> tuple[float, float] | None:
 
 def check_pair(name: str, value: Any) -> tuple[Any, Any]:
     """Returns a tuple of two."""
-    if isinstance(value, str) or np.ndim(value) != 1 or len(value) != 2:
-        raise ValueError(f"{name}: got {value!r}, expected two numbers")
+    if _length(value) != 2:
+        raise ValueError(f"{name}: got {brief(value)}, expected two numbers")
     first, second = value
     return first, second
 
 
+def _length(value: Any) -> int | None:
+    """Returns how long a sequence of single values is, None for everything else."""
+    if isinstance(value, str | bytes):
+        return None
+    try:
+        items = np.asarray(value, object)
+    except ValueError:  # arrays of unlike shapes
+        return None
+    return len(items) if items.ndim == 1 else None
+
+
 def _is_finite(value: Any) -> bool:
-    """Whether it is a finite number; True and False are none."""
-    return isinstance(value, Real) and not isinstance(value, bool) and math.isfinite(value)
+    """Whether it is a finite number, as floats have them; True and False are none."""
+    try:
+        return isinstance(value, Real) and not isinstance(value, bool) and math.isfinite(value)
+    except OverflowError:
+        return False

@@ -32,6 +32,7 @@ from evogymcm._grid import (
     is_connected,
 )
 from evogymcm._messages import brief, known
+from evogymcm._settings import check_array
 
 __all__ = [
     "EMPTY",
@@ -337,7 +338,7 @@ def check_weights(weights: Sequence[float]) -> tuple[float, ...]:
     Raises:
         ValueError: They are not five numbers >= 0 with one above 0 for an actuator.
     """
-    values = np.asarray(weights, dtype=np.float64)
+    values = check_array("weights", weights)
     if values.shape != (5,) or not np.all(np.isfinite(values) & (values >= 0.0)):
         raise ValueError(f"weights: got {brief(weights)}, expected five finite numbers >= 0")
     if not values[[H_ACT, V_ACT]].any():

@@ -9,6 +9,7 @@ import numpy as np
 import evogymcm as cm
 from evogymcm.envs import Snapshot, Task, Window
 from evogymcm.sim.world import World
+from evogymcm.testing import check_task
 
 # Cells: . empty, R rigid, S soft, H and V actuators, F fixed. The top row comes first.
 STEPS = World.from_picture(
@@ -65,6 +66,12 @@ def main() -> float:
         _, _, terminated, truncated, info = env.step(env.action_space.sample())
         if terminated or truncated:
             return float(info["return"])
+
+
+def check() -> None:
+    """Runs a small version, for the tests; raises AssertionError where it goes wrong."""
+    check_task("Ascent-v0")
+    assert -5.0 < main() < 5.0
 
 
 if __name__ == "__main__":

@@ -6,8 +6,8 @@ import numpy as np
 import evogymcm as cm  # import evogym.envs
 
 
-def main(steps: int = 500) -> None:
-    """Lets a wave run through a robot and prints how far that carries it."""
+def main(steps: int = 500) -> float:
+    """Lets a wave run through a robot, and prints and returns how far that carries it."""
     body = cm.robots["Walk_Bot"]  # or any grid of codes 0 to 4, first row on top
     env = gym.make("evogymcm/Walker-v0", body=body)  # gym.make("Walker-v0", body=grid)
     _, info = env.reset(seed=0)
@@ -19,6 +19,12 @@ def main(steps: int = 500) -> None:
             break
     print(f"return {info['return']:.3f}, centre of mass at x = {info['com'][0]:.3f} m")
     env.close()
+    return float(info["return"])
+
+
+def check() -> None:
+    """Runs a small version, for the tests; raises AssertionError where it goes wrong."""
+    assert 0.0 < abs(main(steps=20)) < 1.0
 
 
 if __name__ == "__main__":

@@ -54,5 +54,12 @@ def main(settings: Settings) -> list[float]:
     return best
 
 
+def check() -> None:
+    """Runs a small version, for the tests; raises AssertionError where it goes wrong."""
+    best = main(Settings(bodies=3, generations=2, steps=5))
+    assert len(best) == 2
+    assert all(0.0 < abs(metres) < 0.5 for metres in best)
+
+
 if __name__ == "__main__":
     main(tyro.cli(Settings))

@@ -12,6 +12,7 @@ import tyro
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torchrl.collectors import Collector
+from torchrl.envs import InitTracker, TransformedEnv
 
 import evogymcm as cm
 from evogymcm.algos import PPOConfig, PPOLearner, make_actor, make_critic
@@ -70,12 +71,10 @@ def main(settings: Settings) -> list[float]:
     actor, critic = make_actor(env.worlds), make_critic(env.worlds)
     learner = PPOLearner(actor, critic, PPOConfig(minibatch=256))
     collector = Collector(
-        env,
+        TransformedEnv(env, InitTracker()),  # which TorchRL's collectors ask for
         OnBodies(actor),
         frames_per_batch=settings.rollout_steps,
         total_frames=settings.rollout_steps * settings.updates,
-        auto_register_policy_transforms=False,
-        track_traj_ids=False,
     )
     rewards: list[float] = []
     for update, data in enumerate(collector):
@@ -89,6 +88,13 @@ def main(settings: Settings) -> list[float]:
         print(f"update {update}: mean reward {rewards[-1]:.5f}, episodes that ended, by body: {ended}")
     collector.shutdown()
     return rewards
+
+
+def check() -> None:
+    """Runs a small version, for the tests; raises AssertionError where it goes wrong."""
+    rewards = main(Settings(bodies=3, rollout_steps=8, updates=2))
+    assert len(rewards) == 2
+    assert all(0.0 < abs(reward) < 0.1 for reward in rewards)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,8 @@
 """Records a population: all bodies side by side, as an MP4 or GIF. Needs `pip install evogymcm[render]`."""
 
 import sys
+import tempfile
+from pathlib import Path
 
 import numpy as np
 
@@ -17,6 +19,14 @@ def main(path: str = "population.mp4", steps: int = 150) -> None:
 
     frames = (renderer.grid(columns=4) for _ in play(sine_gait, engine, steps=steps))
     print(f"wrote {write_video(path, frames)}; best return {engine.returns.max():.2f}")
+
+
+def check() -> None:
+    """Runs a small version, for the tests; raises AssertionError where it goes wrong."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "population.mp4"
+        main(str(path), steps=2)
+        assert path.stat().st_size > 0
 
 
 if __name__ == "__main__":

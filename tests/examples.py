@@ -1,10 +1,18 @@
 """The example scripts as modules."""
 
 import importlib.util
+import re
 import sys
 from pathlib import Path
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
+NAMES = sorted(path.stem for path in EXAMPLES.glob("*.py"))
+
+
+def shown(name):
+    """An example as the README shows it: without its check."""
+    source = (EXAMPLES / f"{name}.py").read_text(encoding="utf-8")
+    return re.sub(r"^def check\(\).*?^(?=if __name__)", "", source, flags=re.MULTILINE | re.DOTALL)
 
 
 def load_example(name):

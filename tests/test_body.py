@@ -132,6 +132,7 @@ def test_full_connections_follow_the_rule():
         ([], "shape"),
         ([3, 3], "shape"),
         ([[3], [3, 3]], "equally long rows"),
+        ([[3, 10**400]], "equally long rows of numbers"),
         ([[3, 5]], "codes"),
         ([[3, -1]], "codes"),
         ([[3, 0.5]], "codes"),

@@ -16,6 +16,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.clients.recipe import SMALLER as OF_RECIPES
 from tests.registries import shorten
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -31,7 +32,7 @@ SMALLER = {  # budgets of the pages, and those of the tests
     "total_steps=100_000, num_worlds=16": "total_steps=32, num_worlds=4, rollout_steps=8, eval_interval=0",
     "SearchConfig(), population=8, budget=32": "SearchConfig(rounds=1), population=2, budget=2",
     "total_steps=500_000, num_worlds=64": "total_steps=64, num_worlds=16, rollout_steps=4",
-    "total_timesteps=100_000": "total_timesteps=512",
+    **OF_RECIPES,
 }
 LONG = {"codesign", "other-libraries"}  # these take more than about ten seconds
 WHOLE = {"tasks"}  # pages that show how long an episode is; on the others those of Walker-v0 are 25 env-steps long
@@ -86,6 +87,7 @@ def test_pages_with_code_are_these():
         "fabrication",
         "from-evogym",
         "from-jax-evogym",
+        "gaits",
         "gymnasium",
         "index",
         "learning",
@@ -148,7 +150,7 @@ def test_commands_of_the_pages_exist(capsys):
     main = script.load()
     text = "".join(PAGES.values()) + (ROOT / "README.md").read_text(encoding="utf-8")
     named = set(re.findall(r"(?:python -m evogymcm|^evogymcm|`evogymcm) (\w+)", text, re.MULTILINE))
-    assert {"codesign", "report", "selfcheck", "tasks", "train", "warmup", "watch"} <= named
+    assert {"codesign", "gait", "report", "selfcheck", "tasks", "train", "warmup", "watch"} <= named
     lines = re.findall(r"(?:python -m evogymcm|^evogymcm|`evogymcm) (\w+)([^#`\n]*)", text, re.MULTILINE)
     for command in named:
         with pytest.raises(SystemExit) as stop:

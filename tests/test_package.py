@@ -12,6 +12,7 @@ from importlib.metadata import packages_distributions
 from pathlib import Path
 
 import pytest
+from packaging.requirements import Requirement
 
 import evogymcm
 
@@ -146,6 +147,17 @@ def test_extras_are_optional(code, tmp_path):
     assert not blocked & {"numpy", "torch", "gymnasium", "numba", "torchrl", "tqdm", "tyro"}
     start = f"import sys\nsys.modules.update(dict.fromkeys({sorted(blocked)!r}))\n"
     run(sys.executable, "-c", start + code, cwd=tmp_path, env=os.environ | {"PYTHONPATH": str(ROOT)})
+
+
+@pytest.mark.parametrize("page", ["README.md", "docs/index.md"])
+def test_pages_say_which_versions_are_taken(page):
+    text = " ".join((ROOT / page).read_text(encoding="utf-8").split())
+    assert f"Python {PROJECT['requires-python'].removeprefix('>=')} or newer" in text
+    for requirement in map(Requirement, PROJECT["dependencies"]):
+        bounds = {each.operator: each.version for each in requirement.specifier}
+        if requirement.name in {"gymnasium", "numba", "numpy", "pettingzoo", "torch", "torchrl"}:
+            below = f" (below {bounds['<']})" if "<" in bounds else ""
+            assert f"{requirement.name} {bounds['>=']}{below}" in text
 
 
 def test_citation_and_changelog_are_of_this_version():

@@ -8,11 +8,12 @@ from pathlib import Path
 import pytest
 
 from evogymcm.envs.tasks import own_tasks
+from tests.examples import NAMES, shown
 
 ROOT = Path(__file__).resolve().parents[1]
 TEXT = (ROOT / "README.md").read_text(encoding="utf-8")
 BLOCKS = re.findall(r"```python\n(.*?)```", TEXT, re.DOTALL)
-EXAMPLES = {path.name: path.read_text(encoding="utf-8") for path in (ROOT / "examples").glob("*.py")}
+EXAMPLES = {name: shown(name) for name in NAMES}
 
 
 @pytest.mark.usefixtures("own_registries")
@@ -25,9 +26,9 @@ def test_block_runs(block, tmp_path, monkeypatch):
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("name", ["train.py", "collector.py"])
+@pytest.mark.parametrize("name", ["train", "collector"])
 def test_examples_are_shown_as_they_are(name):
-    assert f"`examples/{name}`" in TEXT
+    assert f"`examples/{name}.py`" in TEXT
     assert EXAMPLES[name] in BLOCKS
 
 

@@ -53,7 +53,16 @@ def test_sampling_is_reproducible_and_takes_weights():
 
 def test_impossible_samples_are_refused(monkeypatch):
     rng = np.random.default_rng(0)
-    for weights in [(1, 1, 1, 0, 0), (1, 1, 1, 1), (1, 1, 1, 1, -1), (1, 1, 1, 1, np.nan), (0, 0, 0, 0, 0)]:
+    for weights in [
+        (1, 1, 1, 0, 0),
+        (1, 1, 1, 1),
+        (1, 1, 1, 1, -1),
+        (1, 1, 1, 1, np.nan),
+        (0, 0, 0, 0, 0),
+        {},
+        1j,
+        [10**400] * 5,
+    ]:
         with pytest.raises(ValueError, match="weights"):
             sample_body((5, 5), rng, weights)
     with pytest.raises(ValueError, match="shape"):

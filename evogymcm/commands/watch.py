@@ -41,7 +41,7 @@ class Options:
         stiffness: invariant setting only: a number, or numbers in rows like the body's (2,2,2/0.5,1,0.5); one for all
             bodies or one for each.
         policy: folder of a training run (its last policy) or of co-design (its best design), or one of their files,
-            such as policy-0003.pt (design 3).
+            such as policy-0003.pt (design 3); or gaits (.json) of `evogymcm gait`.
         out: file to write: .mp4, .gif, or .png (the last step).
         steps: env-steps at most.
         every: draw every Nth env-step.
@@ -105,6 +105,8 @@ def _worlds(options: Options) -> "tuple[TaskEngine | SoftRobotEnv, TensorDictMod
         shown = [as_body(body) for body in options.body or [default_body(task)]]
         fields, material = read_stiffness(options.stiffness, shown), options.material or "invariant"
         return TaskEngine(task, shown, material=material, stiffness=fields, with_voxels=False), sine_gait
+    if options.policy.suffix == ".json":
+        return _with_gaits(options, options.policy)
     from evogymcm.algos.runs import load_policy
 
     saved = load_policy(options.policy)
@@ -115,6 +117,24 @@ def _worlds(options: Options) -> "tuple[TaskEngine | SoftRobotEnv, TensorDictMod
     fields = read_stiffness(options.stiffness, bodies or saved.bodies)
     env = saved.make_env(task=other, bodies=bodies, stiffness=fields)
     return env, saved.module(env)
+
+
+def _with_gaits(options: Options, path: Path) -> "tuple[TaskEngine, Gait]":
+    """Returns the worlds of saved gaits, and the gaits; each keeps its own body, or one moves other bodies."""
+    from evogymcm.algos.gaits import load_gaits
+    from evogymcm.body import as_body
+
+    saved = load_gaits(path)
+    if options.material not in (None, saved.material):
+        raise ValueError(f"material: got {options.material!r}, the gait was found with {saved.material!r}")
+    bodies = [as_body(body) for body in options.body]
+    if bodies and len(saved.bodies) > 1:
+        raise ValueError(f"body: got {len(bodies)}, {path} holds a gait for each of {len(saved.bodies)} bodies")
+    fields = read_stiffness(options.stiffness, bodies or saved.bodies)
+    other = choose_task(options.task, options.world) if options.task or options.world else saved.task
+    if fields is None and not bodies and saved.stiffness is not None:
+        fields = list(saved.stiffness)
+    return saved.make_engine(task=other, bodies=bodies or list(saved.bodies), stiffness=fields), saved.waves
 
 
 def _out(given: Path | None, task: str) -> Path | None:

@@ -8,6 +8,7 @@ from evogymcm._doors import door
 __getattr__, __dir__, __all__ = door(
     __name__,
     {
+        "benchmarl": ["BenchMARLTask"],
         "core": ["TaskEngine"],
         "gaits": ["sine_gait"],
         "gymnasium": ["GymnasiumEnv", "GymnasiumVectorEnv"],

@@ -4,11 +4,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from evogymcm.sim.constants import MISSING
+from evogymcm._settings import check_array
+from evogymcm.sim.constants import ACTUATION_HIGH, ACTUATION_LOW, MISSING, STIFFNESS_HIGH, STIFFNESS_LOW
 from evogymcm.sim.kernels._jit import kernel
 
 if TYPE_CHECKING:
     from evogymcm.envs.core import TaskEngine
+
+RANGES = {"actuation": (ACTUATION_LOW, ACTUATION_HIGH), "stiffness": (STIFFNESS_LOW, STIFFNESS_HIGH)}
 
 
 @kernel
@@ -29,7 +32,7 @@ def checked_action(name: str, values: Any, is_used: np.ndarray, low: float, high
     Raises:
         ValueError: For another shape, and for NaN where the number is used.
     """
-    values = np.array(values, np.float64, order="C")
+    values = check_array(name, values)
     if values.shape != is_used.shape:
         raise ValueError(f"{name}: got shape {values.shape}, expected (worlds, cells) = {is_used.shape}")
     world = _clip(values, is_used, low, high)
@@ -59,7 +62,8 @@ class ActionGrid:
         Raises:
             ValueError: For another number of values.
         """
-        actions = np.asarray(actions, np.float64)
+        if not isinstance(actions, np.ndarray) or actions.dtype != np.float64:
+            actions = check_array("action", actions)
         if actions.shape != self._shape:
             # Of a vector of a single world the action's own shape.
             one = 1 if len(self._shape) == 2 and actions.shape[:1] == self._shape[:1] == (1,) else 0

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from evogymcm._settings import check_count
 from evogymcm.envs.task import Snapshot, Task, Window
 from evogymcm.sim.constants import H_ACT, V_ACT
 from evogymcm.sim.world import ROBOT, World
@@ -168,12 +169,16 @@ def checked_mask(mask: Any, n: int) -> np.ndarray:
 
 def checked_seeds(seed: int | Sequence[int | None] | None, n: int) -> Sequence[int | None]:
     """Returns a seed for each world, one number counted up from; ValueError for another number of seeds."""
-    seeds = [None] * n if seed is None else seed
-    if isinstance(seeds, int | np.integer):
-        seeds = [int(seeds) + world for world in range(n)]
-    if len(seeds) != n:
-        raise ValueError(f"seed: got {len(seeds)} seeds, expected one for each of {n} worlds")
-    return seeds
+    if seed is None:
+        return [None] * n
+    if isinstance(seed, str | bytes) or not (
+        isinstance(seed, Sequence) or (isinstance(seed, np.ndarray) and seed.ndim)
+    ):
+        first = check_count("seed", seed, 0)
+        return [first + world for world in range(n)]
+    if len(seed) != n:
+        raise ValueError(f"seed: got {len(seed)} seeds, expected one for each of {n} worlds")
+    return [None if one is None else check_count("seed", one, 0) for one in seed]
 
 
 def _rows(name: str, values: Any, n: int, kind: str) -> np.ndarray:

@@ -9,6 +9,7 @@ from typing import Any, Unpack
 
 import numpy as np
 
+from evogymcm._messages import brief
 from evogymcm._settings import check_work_weight
 from evogymcm.body import Body
 from evogymcm.envs import checks
@@ -211,6 +212,21 @@ class TaskEngine(Observed, Episodes):
         if self._stream is not None:
             self._stream.set_seed(seeds)
 
+    def stagger(self, seed: int = 0) -> None:
+        """Spreads the ends of the present episodes evenly over the time limit, without simulating anything.
+
+        Worlds that begin together end together, again and again: a learner would see one part of the episode at a time,
+        and the bodies of a stream would change all at once. So each world's present episode counts as begun earlier
+        than it was, and only the later ones are whole. Tasks without a time limit stay as they are.
+
+        Args:
+            seed: Of the order in which the worlds end.
+        """
+        limit = int(self._time_limit)
+        if limit < np.iinfo(np.int64).max:
+            order = np.random.default_rng(seed).permutation(self.num_worlds)
+            self.length = order * limit // self.num_worlds
+
     def set_starts(self, starts: int, seed: int = 0) -> None:
         """Makes the worlds n = N / starts worlds several times over, from starts that differ by 1e-6 metres.
 
@@ -255,6 +271,8 @@ class TaskEngine(Observed, Episodes):
         Raises:
             ValueError: It belongs to another engine; then nothing has changed.
         """
+        if not isinstance(state, Mapping):
+            raise ValueError(f"state: got {brief(state)}, expected what `state()` has returned")
         checked = self._checked(state)
         checked |= checked_arrays(state, {"actuation": self.actuation, "stiffness": self.stiffness})
         shown, stream, robots = checked_arrays(state, self.memory, "shown"), self._stream, None

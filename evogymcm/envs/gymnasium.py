@@ -13,6 +13,7 @@ from gymnasium import spaces
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
+from evogymcm._settings import check_count
 from evogymcm.body import Body, as_body
 from evogymcm.envs._per_world import PerWorld, VectorWorld
 from evogymcm.envs.actions import ActionGrid
@@ -175,10 +176,11 @@ class GymnasiumVectorEnv(Described, PerWorld, VectorEnv[np.ndarray, np.ndarray, 
         designs = as_bodies(body)
         if connections is not None:
             designs = [Body(design.grid, connections) for design in designs]
+        num_envs = check_count("num_envs", num_envs)
         if len(designs) not in (1, num_envs):
             raise ValueError(f"body: got {len(designs)}, expected 1 or num_envs = {num_envs}")
-        if max_episode_steps is not None and max_episode_steps < 1 and max_episode_steps != _NO_LIMIT:
-            raise ValueError(f"max_episode_steps: got {max_episode_steps}, allowed are 1 and more, or -1 for no limit")
+        if max_episode_steps is not None and max_episode_steps != _NO_LIMIT:
+            max_episode_steps = check_count("max_episode_steps (-1 for no limit)", max_episode_steps)
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self.metadata = self.metadata | {"autoreset_mode": self.autoreset_mode}
         self.engine = TaskEngine(task, designs, num_envs, seed=None, with_voxels=False, **options)
@@ -257,7 +259,8 @@ class GymnasiumVectorEnv(Described, PerWorld, VectorEnv[np.ndarray, np.ndarray, 
 
     def close_extras(self, **kwargs: Any) -> None:
         """Ends the simulator's threads; a later step starts them again."""
-        self.engine.close()
+        if hasattr(self, "engine"):  # Gymnasium before 1.3 also closes what an error kept from being made
+            self.engine.close()
 
     def render(self) -> tuple[np.ndarray, ...] | None:
         """Returns a picture of each world, uint8 (height, width, 3), where a `render_mode` was given."""

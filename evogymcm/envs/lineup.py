@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from evogymcm._settings import check_count
 from evogymcm.body import Body
 from evogymcm.envs.dealing import BodySpec, as_bodies, check_grid_shape, deal_fields
 from evogymcm.envs.options import EngineOptions
@@ -36,10 +37,10 @@ class Lineup:
         self._material, self._stiffness = options["material"], options["stiffness"]
         self._designs: list[Body] = [] if is_source(bodies) else as_bodies(bodies)
         self.grid_shape = check_grid_shape(options["grid_shape"], self._designs or None)
-        self.num_designs = len(self._designs) or num_worlds or 1
-        self.num_worlds = self.num_designs if num_worlds is None else num_worlds
-        if self.num_worlds < 1:
-            raise ValueError(f"num_worlds: got {num_worlds}, at least 1 is needed")
+        self.num_designs = len(self._designs) or (1 if num_worlds is None else check_count("num_worlds", num_worlds))
+        self.num_worlds = self.num_designs
+        if num_worlds is not None:
+            self.num_worlds = check_count("num_worlds", num_worlds)
         if is_source(bodies):
             if self._stiffness is not None:
                 raise ValueError("stiffness: a stream gives it with each body, as (body, stiffness)")

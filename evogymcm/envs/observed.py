@@ -120,3 +120,9 @@ class Observed:
         }
         flat = self.flat
         return seen if flat is None else seen | {"observation": flat}
+
+    def vectors(self) -> np.ndarray:
+        """Returns (N, D) float32: `observations` without the flat one, as one vector a world, the parts by name."""
+        parts = self.observations()
+        names = sorted(parts.keys() - {"observation"})
+        return np.concatenate([parts[name].reshape(len(self.bodies), -1).astype(np.float32) for name in names], axis=1)

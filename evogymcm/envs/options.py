@@ -7,7 +7,8 @@ from typing import Any, TypedDict, TypeVar, get_args
 
 import numpy as np
 
-from evogymcm._settings import WorkWeight
+from evogymcm._messages import brief
+from evogymcm._settings import WorkWeight, check_choice, check_count
 from evogymcm.envs.dealing import MATERIALS
 from evogymcm.sim.constants import Physics
 
@@ -80,19 +81,22 @@ def complete(options: EngineOptions) -> EngineOptions:
     if unknown:
         raise TypeError(f"got an unexpected keyword argument {unknown[0]!r}, the options are {list(DEFAULTS)}")
     chosen = DEFAULTS | options
-    if chosen["material"] not in MATERIALS:
-        raise ValueError(f"material: got {chosen['material']!r}, allowed are {MATERIALS}")
+    check_choice("material", chosen["material"], MATERIALS)
+    if chosen["num_threads"] is not None:
+        chosen["num_threads"] = check_count("num_threads", chosen["num_threads"])
     return chosen
 
 
 def as_physics(physics: Physics | Mapping[str, float] | None) -> Physics | None:
     """Returns constants that may be given by name, those that differ; ValueError for an unknown one."""
-    if not isinstance(physics, Mapping):
+    if physics is None or isinstance(physics, Physics):
         return physics
+    if not isinstance(physics, Mapping):
+        raise ValueError(f"physics: got {brief(physics)}, expected Physics, or those constants that differ by name")
     known = [field.name for field in fields(Physics)]
     unknown = [name for name in physics if name not in known]
     if unknown:
-        raise ValueError(f"physics: got {unknown}, known are {known}")
+        raise ValueError(f"physics: got {brief(unknown)}, known are {known}")
     return Physics(**physics)
 
 

@@ -10,6 +10,7 @@ from pettingzoo import ParallelEnv
 from evogymcm._messages import brief, some
 from evogymcm.body import Body
 from evogymcm.envs import checks
+from evogymcm.envs.actions import RANGES
 from evogymcm.envs.adapter import Adapter
 from evogymcm.envs.core import TaskEngine
 from evogymcm.envs.dealing import BodySpec, as_bodies, check_grid_shape
@@ -18,11 +19,9 @@ from evogymcm.envs.render.rendered import Rendered, check_render_mode
 from evogymcm.envs.render.renderer import FPS, Renderer
 from evogymcm.envs.task import Task
 from evogymcm.envs.voxels import N_FEATURES, N_SIDES, N_TYPES
-from evogymcm.sim.constants import ACTUATION_HIGH, ACTUATION_LOW, STIFFNESS_HIGH, STIFFNESS_LOW
 
 Observation = dict[str, np.ndarray] | np.ndarray
 Action = Mapping[str, np.ndarray] | np.ndarray
-_RANGES = {"actuation": (ACTUATION_LOW, ACTUATION_HIGH), "stiffness": (STIFFNESS_LOW, STIFFNESS_HIGH)}
 
 
 class BodiesParallelEnv(Adapter, Rendered, ParallelEnv[str, Observation, Action]):
@@ -92,6 +91,7 @@ class BodiesParallelEnv(Adapter, Rendered, ParallelEnv[str, Observation, Action]
         self.np_random = np.random.default_rng(checks.checked_seeds(seed, len(designs))[0])
         self._build(task, designs)
         self._make_spaces()
+        self.engine.set_seed(seed)  # the first reset begins with it too
 
     def _build(self, task: str | Task, designs: Sequence[Body], **changed: Unpack[EngineOptions]) -> None:
         """Makes the engine for these designs, and what draws it."""
@@ -119,7 +119,7 @@ class BodiesParallelEnv(Adapter, Rendered, ParallelEnv[str, Observation, Action]
             for agent in self.possible_agents
         }
         self.action_spaces = {
-            agent: given(**{head: spaces.Box(*_RANGES[head], (n,), np.float32) for head in self._heads})
+            agent: given(**{head: spaces.Box(*RANGES[head], (n,), np.float32) for head in self._heads})
             for agent in self.possible_agents
         }
         self.state_space = numbers(self.max_num_agents * (n * N_FEATURES + n_features))
@@ -138,12 +138,11 @@ class BodiesParallelEnv(Adapter, Rendered, ParallelEnv[str, Observation, Action]
         return self.action_spaces[agent]
 
     def _observe(self, agents: Sequence[str]) -> dict[str, Observation]:
+        if self.flat:
+            rows = self.engine.vectors()
+            return {agent: rows[self._index[agent]] for agent in agents}
         parts = self.engine.observations()
         parts |= {key: parts[key].astype(np.int8) for key in ("occupancy", "actuators")}
-        if self.flat:
-            columns = [parts[key].reshape(self.max_num_agents, -1).astype(np.float32) for key in sorted(parts)]
-            rows = np.concatenate(columns, axis=1)
-            return {agent: rows[self._index[agent]] for agent in agents}
         return {agent: {key: values[self._index[agent]] for key, values in parts.items()} for agent in agents}
 
     def _infos(self, agents: Sequence[str]) -> dict[str, dict[str, Any]]:
@@ -230,7 +229,7 @@ class BodiesParallelEnv(Adapter, Rendered, ParallelEnv[str, Observation, Action]
         """Returns one action entry of all worlds, 1 in those that have ended."""
         try:
             values = np.array([self._part(actions[agent], head) for agent in live], np.float64)
-        except (IndexError, KeyError, TypeError, ValueError):
+        except (IndexError, KeyError, TypeError, ValueError, OverflowError):
             values = np.empty(0)
         if values.shape != (len(live), self.n_cells):
             self._blame(head, live, actions)
@@ -261,7 +260,7 @@ class BodiesParallelEnv(Adapter, Rendered, ParallelEnv[str, Observation, Action]
                 value = action[head]
             try:
                 shape = np.asarray(value, np.float64).shape
-            except (TypeError, ValueError):
+            except (TypeError, ValueError, OverflowError):
                 raise ValueError(f"{what}: got {brief(value)}, expected numbers") from None
             if shape != (size,):
                 raise ValueError(f"{what}: got shape {shape}, expected {wanted} = ({size},)")

@@ -11,6 +11,7 @@ from torchrl.envs import EnvBase, MarlGroupMapType
 from torchrl.envs.utils import check_marl_grouping
 
 from evogymcm._messages import brief
+from evogymcm._settings import check_count
 from evogymcm.body import Body
 from evogymcm.envs.adapter import Adapter
 from evogymcm.envs.dealing import BodySpec, as_bodies
@@ -72,12 +73,13 @@ class PopulationEnv(Adapter, EnvBase):
         **options: Unpack[EngineOptions],
     ) -> None:
         designs = bodies if is_source(bodies) else as_bodies(bodies)
-        number = len(designs) if isinstance(designs, list) else num_bodies
-        if number is None or number < 1 or num_bodies not in (None, number):
-            allowed = f"{number}, the number of bodies" if isinstance(designs, list) else "1 and more under a stream"
-            raise ValueError(f"num_bodies: got {num_bodies}, allowed is {allowed}")
-        if copies is not None and copies < 1:
-            raise ValueError(f"copies: got {copies}, at least 1 is needed, or None for no batch dimension")
+        if isinstance(designs, list):
+            number = len(designs)
+            if num_bodies is not None and check_count("num_bodies", num_bodies) != number:
+                raise ValueError(f"num_bodies: got {brief(num_bodies)}, allowed is {number}, the number of bodies")
+        else:
+            number = check_count("num_bodies (needed under a stream)", num_bodies)
+        copies = None if copies is None else check_count("copies", copies)
         super().__init__(device=device, batch_size=[] if copies is None else [copies])
         self.agent_names = [f"body_{i}" for i in range(number)]
         self.group_map = self._make_groups(group_map)

@@ -56,7 +56,7 @@ class Reader:
         windows = ((task.floor, False), (task.ceiling, True))
         self._looks = [(self._make_terrain(window), window.radius, up) for window, up in windows if window is not None]
         self._of_voxels: tuple[np.ndarray, ...] | None = None
-        self._scratches = np.zeros((simulator.num_threads, N_SCRATCH * (most + 2)))
+        self._scratches = np.zeros((min(simulator.num_threads, simulator.n_worlds), N_SCRATCH * (most + 2)))
         self.now, self.before = self._new_snapshot(), self._new_snapshot()
         self._parts: list[list[np.ndarray] | None] = []  # see `_views`, of the present snapshot and of the other
         self._bind()

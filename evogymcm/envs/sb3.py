@@ -48,6 +48,7 @@ class SB3VecEnv(VecEnv):
         if "autoreset_mode" in options:
             raise ValueError("autoreset_mode: Stable-Baselines3 has its own, in which ended worlds restart at once")
         self.envs = GymnasiumVectorEnv(task, body, num_envs, autoreset_mode="SameStep", **options)
+        num_envs = self.envs.num_envs
         self._lengths = np.zeros(num_envs, np.int64)
         self._begin = time.time()
         super().__init__(num_envs, self.envs.single_observation_space, self.envs.single_action_space)

@@ -10,6 +10,7 @@ from torchrl.data import Bounded, Categorical, Composite, Unbounded
 from torchrl.envs import EnvBase
 
 from evogymcm._messages import brief, some
+from evogymcm.envs.actions import RANGES
 from evogymcm.envs.adapter import Adapter
 from evogymcm.envs.core import TaskEngine
 from evogymcm.envs.dealing import BodySpec
@@ -18,7 +19,6 @@ from evogymcm.envs.render.renderer import Renderer
 from evogymcm.envs.streams import BodySource
 from evogymcm.envs.task import Task
 from evogymcm.envs.voxels import N_FEATURES, N_SIDES, N_TYPES
-from evogymcm.sim.constants import ACTUATION_HIGH, ACTUATION_LOW, STIFFNESS_HIGH, STIFFNESS_LOW
 
 
 class SoftRobotEnv(Adapter, EnvBase):
@@ -104,9 +104,7 @@ class SoftRobotEnv(Adapter, EnvBase):
         flat = self.engine.flat
         if flat is not None:
             observation["observation"] = numbers(flat.shape[1], dtype=torch.float64)
-        action = {"actuation": Bounded(ACTUATION_LOW, ACTUATION_HIGH, (n, v), device=self.device)}
-        if self.engine.material == "reactive":
-            action["stiffness"] = Bounded(STIFFNESS_LOW, STIFFNESS_HIGH, (n, v), device=self.device)
+        action = {head: Bounded(*RANGES[head], (n, v), device=self.device) for head in self._heads}
         self.observation_spec = Composite(observation, shape=[n])
         self.action_spec = Composite(action=Composite(action, shape=[n]), shape=[n])
         self.reward_spec = numbers(1)

@@ -37,8 +37,9 @@ def read_content(source: str | os.PathLike[str] | Mapping[str, Any]) -> tuple[st
     if not isinstance(content, Mapping) or not {"grid_width", "objects"} <= set(content):
         raise ValueError(f"{what}: needs grid_width and objects, got {brief(content)}")
     size = [content["grid_width"], content.get("grid_height", 0)]
-    if not all(isinstance(cells, int) for cells in size) or size[0] < 1:
-        raise ValueError(f"{what}: got grid_width and grid_height {brief(size)}, expected whole numbers")
+    if not all(type(cells) is int and cells <= MOST_CELLS for cells in size) or size[0] < 1:
+        allowed = f"whole numbers of at most {MOST_CELLS:,}"
+        raise ValueError(f"{what}: got grid_width and grid_height {brief(size)}, expected {allowed}")
     if not isinstance(content["objects"], Mapping):
         raise ValueError(f"{what}: objects must be given by name, got {brief(content['objects'])}")
     return what, content
@@ -76,7 +77,7 @@ def _numbers(name: str, values: Any) -> np.ndarray:
     """Returns a list of integers as an array, empty or not."""
     try:
         numbers = np.array(values, np.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         numbers = np.empty((0, 0))
     if numbers.ndim != 1 or not np.array_equal(numbers, np.trunc(numbers)) or (abs(numbers) > 2**31).any():
         raise ValueError(f"{name}: expected a list of integers, got {brief(values)}")
@@ -98,7 +99,7 @@ def _read_neighbors(neighbors: Any, cells: dict[int, int], grid: Grid) -> Connec
     try:
         pairs = [(int(index), int(other)) for index, others in neighbors.items() for other in others]
         listed = {int(index) for index in neighbors}
-    except (AttributeError, TypeError, ValueError):
+    except (AttributeError, TypeError, ValueError, OverflowError):
         raise ValueError(f"neighbors: expected lists of indices by index, got {brief(neighbors)}") from None
     if strangers := sorted((listed | {other for _, other in pairs}) - set(cells)):
         raise ValueError(f"neighbors: {some(strangers)} are none of its {len(cells)} indices")

@@ -59,7 +59,7 @@ def read_picture(text: str, name: str) -> tuple[tuple[int, int] | None, Iterator
     """
     size = None
     blocks: list[tuple[str, list[str]]] = []
-    for line in (raw.strip() for raw in text.splitlines()):
+    for line in (raw.strip() for raw in text.split("\n")):  # names may hold what else ends lines elsewhere
         if line.startswith("size "):
             size = _read_size(line)
         elif line.startswith("object "):

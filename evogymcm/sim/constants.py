@@ -15,6 +15,7 @@ from evogymcm._grid import H_ACT as H_ACT
 from evogymcm._grid import RIGID as RIGID
 from evogymcm._grid import SOFT as SOFT
 from evogymcm._grid import V_ACT as V_ACT
+from evogymcm._settings import check_number
 from evogymcm.body import STIFFNESS_HIGH as STIFFNESS_HIGH
 from evogymcm.body import STIFFNESS_LOW as STIFFNESS_LOW
 
@@ -87,8 +88,8 @@ class Physics:
 
     def __post_init__(self) -> None:
         for name, value in asdict(self).items():
-            if not np.isfinite(value) or (value < 0 and name != "gravity") or (name == "substep" and value == 0):
-                raise ValueError(f"physics {name}: got {value!r}, allowed: finite, not negative, and a substep above 0")
+            bounds = {"gravity": {}, "substep": {"above": 0.0}}.get(name, {"low": 0.0})
+            object.__setattr__(self, name, check_number(f"physics {name}", value, **bounds))
 
     def changed(self) -> dict[str, float]:
         """Returns the values that differ from the benchmark's, by name."""

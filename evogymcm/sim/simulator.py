@@ -186,7 +186,7 @@ class Simulator(Worlds):
 
     def _get_ready(self) -> None:
         """Makes what threads need to advance worlds."""
-        self._scratches = [new_scratch(self._room) for _ in range(self.num_threads)]
+        self._scratches = [new_scratch(self._room) for _ in range(min(self.num_threads, self.n_worlds))]
         none = np.zeros(0, bool)
         self._advance = entry(
             advance, self._storage, self._scratches[0], self._all, self._unchanged, self._unchanged, SUBSTEPS, none

@@ -21,6 +21,7 @@ from evogymcm._grid import (
     has_actuator,
 )
 from evogymcm._messages import brief, some
+from evogymcm._settings import check_count, check_pair
 from evogymcm.sim._design_tool import MOST_CELLS, read_content, read_object, write_object
 from evogymcm.sim._pictures import load_picture, read_picture
 
@@ -50,7 +51,7 @@ class WorldObject:
     connections: Connections | None = None
 
     def __post_init__(self) -> None:
-        if not self.name.strip() or "\n" in self.name:
+        if not isinstance(self.name, str) or not self.name.strip() or "\n" in self.name:
             raise ValueError(f"object name: got {brief(self.name)}, expected one line of text")
         try:
             grid = check_grid(self.grid, len(CELL_CHARS))
@@ -58,9 +59,10 @@ class WorldObject:
             raise ValueError(f"object {brief(self.name)}: {error}") from error
         if not grid.any():
             raise ValueError(f"object {brief(self.name)} has no voxel")
-        x, y = (int(value) for value in self.origin)
-        if x < 0 or y < 0:
-            raise ValueError(f"object {brief(self.name)}: got origin {(x, y)}, expected cells counted from 0")
+        try:
+            x, y = (check_count("origin", cell, 0) for cell in check_pair("origin", self.origin))
+        except ValueError as error:
+            raise ValueError(f"object {brief(self.name)}: {error}") from error
         grid.flags.writeable = False
         object.__setattr__(self, "grid", grid)
         object.__setattr__(self, "origin", (x, y))
@@ -113,8 +115,8 @@ class World:
     objects: tuple[WorldObject, ...] = ()
 
     def __post_init__(self) -> None:
-        if self.width < 1 or self.height < 1:
-            raise ValueError(f"world: got width {self.width} and height {self.height}, expected both at least 1")
+        for name in ("width", "height"):
+            object.__setattr__(self, name, check_count(f"world: {name}", getattr(self, name)))
         if self.width * self.height > MOST_CELLS:
             raise ValueError(f"world: {self.width} x {self.height} cells are more than {MOST_CELLS:,}")
         cells = np.full((self.height, self.width), -1)  # which object has a voxel there; row 0 at the bottom

@@ -190,6 +190,14 @@ def test_vector_environments_observations_are_fresh_memory():
         assert (a != b).any()
 
 
+@pytest.mark.filterwarnings("error::pytest.PytestUnraisableExceptionWarning")
+def test_what_could_not_be_made_is_closed_without_a_word():
+    with pytest.raises(ValueError, match="max_episode_steps"):
+        make_vec(max_episode_steps=0)
+    cls = type(make_vec(num_envs=1).unwrapped)
+    cls.__new__(cls).close()
+
+
 def test_vector_of_one_body_for_each_world():
     vec = make_vec(body=[SMALL, SMALL], num_envs=2)
     assert vec.num_envs == 2

@@ -1,7 +1,9 @@
 """The six constructors take one list of options: the same names in the same order, with one default and one meaning."""
 
+import importlib.util
 import inspect
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -58,8 +60,21 @@ def test_constructors_take_the_options_of_the_list(constructor):
 
 def test_each_option_is_described_once():
     assert list(EngineOptions.__annotations__) == list(LIST)
-    described = re.findall(r"^ {8}(\w+): ", WorldOptions.__doc__ + EngineOptions.__doc__, re.MULTILINE)
+    texts = [inspect.cleandoc(options.__doc__) for options in (WorldOptions, EngineOptions)]  # Python 3.13 has them so
+    described = re.findall(r"^ {4}(\w+): ", "\n".join(texts), re.MULTILINE)
     assert described == list(LIST)
+
+
+def test_the_documentations_table_is_the_list_of_all_constructors():
+    docs = Path(__file__).resolve().parents[2] / "docs"
+    spec = importlib.util.spec_from_file_location("option_table", docs / "option_table.py")
+    page = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(page)
+    assert set(page.CONSTRUCTORS.values()) == set(CONSTRUCTORS)
+    assert f"{page.BEGIN}\n{page.table()}\n{page.END}" in page.PAGE.read_text(), "python docs/option_table.py --write"
+    options, _ = page.table().split("\n\n")
+    rows = re.findall(r"^\| `(\w+)` \| `(.*?)` \| .{20,} \|$", options, re.MULTILINE)
+    assert dict(rows) == {name: repr(default) for name, default in LIST.items()}
 
 
 @pytest.mark.parametrize("constructor", CONSTRUCTORS)
@@ -95,7 +110,10 @@ def test_options_mean_the_same_everywhere(constructor):
         ({"stiffness": np.ones((3, 2))}, r"\(3, 2\).*\(2, 3\)"),
         ({"stiffness": np.ones((2, 3)), "material": "reactive"}, "reactive.*action"),
         ({"physics": {"mass": 1.0}}, r"physics: got \['mass'\], known are.*gravity"),
+        ({"physics": 1.0}, r"physics: got 1\.0, expected Physics"),
         ({"num_threads": 0}, "num_threads: got 0"),
+        ({"num_threads": True}, "num_threads: got True, expected a whole number"),
+        ({"num_threads": []}, r"num_threads: got \[\], expected a whole number"),
         ({"grid_shape": (2, 2)}, r"grid_shape: got \(2, 2\), at least \(2, 3\)"),
     ],
 )
@@ -105,8 +123,58 @@ def test_bad_options_are_named(constructor, arguments, message):
         make(constructor, **arguments)
 
 
+@pytest.mark.parametrize("seed", [2.5, -1, "7", {}, [2.5], [None, 1j], [0] * 3, True])
+@pytest.mark.parametrize("constructor", SEEDED)
+def test_bad_seeds_are_named(constructor, seed):
+    with pytest.raises(ValueError, match="seed: got "):
+        make(constructor, body=[SMALL, SMALL], seed=seed)
+
+
+@pytest.mark.parametrize("number", [0, -1, 2.5, True, [], "2"])
+@pytest.mark.parametrize(
+    ("constructor", "name"),
+    [
+        (TaskEngine, "num_worlds"),
+        (SoftRobotEnv, "num_worlds"),
+        (PopulationEnv, "copies"),
+        (PopulationEnv, "num_bodies"),
+        (GymnasiumVectorEnv, "num_envs"),
+    ],
+)
+def test_bad_counts_are_named(constructor, name, number):
+    with pytest.raises(ValueError, match=f"{name}: got "):
+        make(constructor, **{name: number})
+
+
+def test_more_threads_than_worlds_cost_nothing():
+    engine = make(TaskEngine, body=[SMALL, SMALL], num_threads=10**9)
+    engine.step(np.ones((2, 6)))
+    assert engine.length.tolist() == [1, 1]
+
+
+@pytest.mark.parametrize("junk", [None, {}, 1j, "ones", [10**400], [[1.0], [1.0, 2.0]], b"1"])
+def test_steps_and_states_that_are_no_numbers_are_named(junk):
+    engine, vector = make(TaskEngine), make(GymnasiumVectorEnv)
+    with pytest.raises(ValueError, match="actuation: got"):
+        engine.step(junk)
+    with pytest.raises(ValueError, match="action: got"):
+        vector.step(junk)
+    if not isinstance(junk, dict):
+        with pytest.raises(ValueError, match="state: got"):
+            engine.set_state(junk)
+
+
 def goals(made):
     return engine_of(made).memory["goals"].tolist()
+
+
+def test_equal_seeds_begin_with_the_same_episode_everywhere():
+    task, drawn = "BidirectionalWalker-v0", []
+    for constructor in CONSTRUCTORS[1:]:  # an engine's first episode begins when it is made
+        made = make(constructor, task, **{"seed": 5} if constructor in SEEDED else {})
+        made.reset(**{} if constructor in SEEDED else {"seed": 5})
+        drawn.append(goals(made))
+    assert drawn == [drawn[0]] * 5 == [goals(make(TaskEngine, task, seed=5))] * 5
 
 
 def test_seeds_decide_what_is_drawn_and_zero_is_the_default():

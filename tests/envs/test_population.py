@@ -229,9 +229,7 @@ def test_collector(copies):
     transforms = Compose(RewardSum(in_keys=[("bodies", "reward")]), StepCounter())
     env = TransformedEnv(make_env(LOTTERY, MIXED, copies), transforms)
     shape = (copies,) if copies else ()
-    collector = Collector(
-        env, None, frames_per_batch=20 * (copies or 1), total_frames=-1, auto_register_policy_transforms=False
-    )
+    collector = Collector(env, None, frames_per_batch=20 * (copies or 1), total_frames=-1)
     data = next(iter(collector))
     collector.shutdown()
     assert data.shape == (*shape, 20)
@@ -297,7 +295,7 @@ def test_multi_agent_networks_learn_from_the_group():
     loss = ClipPPOLoss(actor, critic, entropy_coeff=1e-3)
     loss.set_keys(**keys)
     optimizer = torch.optim.Adam(loss.parameters(), 1e-2)
-    collector = Collector(env, actor, frames_per_batch=24, total_frames=48, auto_register_policy_transforms=False)
+    collector = Collector(env, actor, frames_per_batch=24, total_frames=48)
     for data in collector:
         assert data["next", "bodies", "reward"].shape == (24, 3, 1)
         assert torch.isfinite(data["next", "bodies", "episode_reward"]).all()

@@ -2,9 +2,7 @@
 
 import copy
 import pickle
-import runpy
 import sys
-from pathlib import Path
 
 import gymnasium
 import numpy as np
@@ -331,9 +329,3 @@ def test_watch_plays_a_policy(tmp_path, material, capsys):
         with pytest.raises(SystemExit):
             main(wrong if "watch" in wrong else ["watch", "Walker-v0", *wrong])
         assert message in capsys.readouterr().err
-
-
-def test_example_records_a_video(tmp_path):
-    example = Path(__file__).parents[2] / "examples" / "record_video.py"
-    runpy.run_path(str(example))["main"](str(tmp_path / "population.mp4"), steps=2)
-    assert (tmp_path / "population.mp4").stat().st_size > 0

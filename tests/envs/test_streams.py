@@ -343,7 +343,9 @@ def test_environments_of_equal_bodies_refuse_a_stream():
         with pytest.raises(ValueError, match="a stream, which"):
             make()
     for options in ({}, {"num_bodies": 0}):
-        with pytest.raises(ValueError, match=r"num_bodies: got .*, allowed is 1 and more under a stream"):
+        with pytest.raises(
+            ValueError, match=r"num_bodies \(needed under a stream\): got .*, expected a whole number of at least 1"
+        ):
             population_env("Walker-v0", draw, grid_shape=GRID, **options)
     with pytest.raises(ValueError, match="num_bodies: got 3, allowed is 2, the number of bodies"):
         population_env("Walker-v0", [SMALL, TALL], num_bodies=3)

@@ -189,7 +189,7 @@ def test_transforms_follow_partial_resets_in_a_collector():
         env.reset()
         return env
 
-    collector = Collector(factory, frames_per_batch=2 * 12, total_frames=2 * 12, auto_register_policy_transforms=False)
+    collector = Collector(factory, frames_per_batch=2 * 12, total_frames=2 * 12)
     collector.env.base_env.engine.simulator.move("robot", (9.6, 0.0), 1)
     collector.env.base_env.engine.refresh()
     (data,) = list(collector)

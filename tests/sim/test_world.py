@@ -89,7 +89,7 @@ def test_picture_without_size_fits_its_objects():
         ("object box at 0 0", "with 0 rows"),
         ("object box at 0 0 is rigid_1x1\nFFF", "with 1 rows"),
         ("object box at 0 0 is rigid", "rigid_1x1"),
-        ("object box at -1 0\nFFF", "counted from 0"),
+        ("object box at -1 0\nFFF", "origin: got -1"),
         ("FXF", "allowed characters"),
         ("FFF\nFF", "lengths"),
         ("...", "no voxel"),
@@ -147,13 +147,35 @@ def test_objects_are_immutable_values():
         (("", [[1]], (0, 0)), "name"),
         (("a", [[6]], (0, 0)), "codes"),
         (("a", [[0]], (0, 0)), "no voxel"),
-        (("a", [[1]], (0, -1)), "counted from 0"),
+        (("a", [[1]], (0, -1)), "origin: got -1"),
         (("a", [[1, 1]], (0, 0), [[0], [2]]), "connections"),
     ],
 )
 def test_invalid_objects_are_refused(arguments, message):
     with pytest.raises(ValueError, match=message):
         WorldObject(*arguments)
+
+
+@pytest.mark.parametrize("name", ["\x1e0", "0\x1e", "a\rb", "\u2028 at 1 1", " a", "a "])
+def test_names_may_hold_what_ends_lines_elsewhere(name):
+    world = World(3, 1, (WorldObject(name, [[1]], (2, 0)),))
+    assert World.from_picture(world.to_picture()) == world
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: WorldObject(3, [[1]], (0, 0)), "object name: got 3"),
+        (lambda: WorldObject("a", [[10**400]], (0, 0)), "object 'a': grid: expected equally long rows of numbers"),
+        (lambda: WorldObject("a", [[1]], (1.5, 0)), "object 'a': origin: got 1.5, expected a whole number"),
+        (lambda: WorldObject("a", [[1]], None), "object 'a': origin: got None, expected two numbers"),
+        (lambda: World(2.5, 3), "world: width: got 2.5, expected a whole number of at least 1"),
+        (lambda: World(2, True), "world: height: got True, expected a whole number of at least 1"),
+    ],
+)
+def test_places_and_sizes_that_are_no_whole_numbers_are_refused(make, message):
+    with pytest.raises(ValueError, match=message):
+        make()
 
 
 def test_pictures_do_not_hide_connections(world):
@@ -262,6 +284,8 @@ def test_what_evogym_passes_over_in_a_file_is_passed_over(entry, expected):
         ({"indices": [0, 1], "types": [1, 1], "neighbors": {"0": [1]}}, "none are given for 1"),
         ({"indices": [0], "types": [1], "neighbors": {"a": [0]}}, "expected lists of indices"),
         ({"indices": [0], "types": [1], "neighbors": [[0]]}, "expected lists of indices"),
+        ({"indices": [10**400], "types": [1]}, "indices: expected a list of integers"),
+        ({"indices": [0], "types": [1], "neighbors": {"0": [float("inf")]}}, "expected lists of indices"),
         ({"indices": [*range(5000)], "types": [7] * 5000}, "codes 7"),
         ({"indices": [*range(5000)], "types": [1] * 5000, "neighbors": {}}, "none are given for 0, 1, .* 4995 more"),
     ],
@@ -280,6 +304,8 @@ def test_unreadable_design_tool_objects_are_refused_by_name_in_few_words(entry, 
         ([1], "needs grid_width and objects"),
         ({"grid_width": 0, "objects": {}}, "whole numbers"),
         ({"grid_width": 4, "grid_height": "high", "objects": {}}, "whole numbers"),
+        ({"grid_width": True, "objects": {}}, "whole numbers"),
+        ({"grid_width": 2**63, "objects": {"a": {"indices": [0], "types": [1]}}}, "whole numbers of at most"),
         ({"grid_width": 4, "objects": [{}]}, "by name"),
         ("{", "not JSON"),
     ],

@@ -8,7 +8,7 @@ from typing import Any, Required, TypedDict
 import numpy as np
 from numpy.typing import ArrayLike
 
-from evogymcm._settings import check_count, check_number, check_pair
+from evogymcm._settings import check_array, check_count, check_number, check_pair
 from evogymcm.algos.codesign.design import Design, Individual, mutate_design
 from evogymcm.body import H_ACT, SAMPLE_WEIGHTS, V_ACT, check_weights, sample_body
 
@@ -129,13 +129,20 @@ class DesignSearch(ABC):
         """Returns the individuals to be trained now, all of them new; the same ones until their fitness is told.
 
         Raises:
-            RuntimeError: The budget is used, or hardly any new body of this shape is left.
+            RuntimeError: The budget is used, or hardly any new body of this shape is left. There is no new individual
+                then.
         """
         if self.is_finished:
             raise RuntimeError(f"ask: the budget of {self.budget} bodies is used")
         if not self._pending:
+            kept = list(self._population), set(self._seen), self.n_designs
             self._population = self.population
-            self._propose()
+            try:
+                self._propose()
+            except RuntimeError:
+                self._population, self._seen, self.n_designs = kept
+                self._pending = []
+                raise
         return [individual for individual in self._population if individual.index in self._pending]
 
     def tell(self, fitness: Mapping[int, float]) -> None:
@@ -179,8 +186,8 @@ class DesignSearch(ABC):
         if fitness is not None:
             individual = replace(individual, fitness=check_number("fitness", fitness))
         if stiffness is not None:
-            field = np.asarray(stiffness, dtype=np.float64)
-            individual = replace(individual, design=Design(individual.design.body, field))
+            design = Design(individual.design.body, check_array("stiffness", stiffness))
+            individual = replace(individual, design=design)
         self._population[place] = individual
 
     def state_dict(self) -> dict[str, Any]:

@@ -6,7 +6,7 @@ from typing import Any, Unpack
 import numpy as np
 from numpy.typing import ArrayLike
 
-from evogymcm._settings import check_count
+from evogymcm._settings import check_array, check_count
 from evogymcm.algos.codesign.body_search import BodySearchOptions, DesignSearch
 from evogymcm.algos.codesign.design import Individual
 
@@ -90,7 +90,7 @@ class GeneticAlgorithm(DesignSearch):
             waiting = f", {len(self._mutants[0])} are waiting" if self._mutants else ""
             raise ValueError(f"count: got {count}, expected at least 1{waiting}")
         if not self._mutants:
-            parents, taken = self.survivors, set[str]()
+            parents, taken, groups = self.survivors, set[str](), list[list[Individual]]()
             n_children = min(self.population_size - len(parents), self.budget - self.n_designs)
             for index in range(self.n_designs, self.n_designs + n_children):
                 parent = parents[self._rng.integers(len(parents))]
@@ -99,7 +99,8 @@ class GeneticAlgorithm(DesignSearch):
                     design, _ = self._new(lambda: self._mutant([parent]), taken)  # noqa: B023 - called at once
                     taken.add(design.key)
                     group.append(Individual(index, design, parent.index, self.generation))
-                self._mutants.append(group)
+                groups.append(group)
+            self._mutants = groups  # all of them, or none where bodies run out
         return [list(group) for group in self._mutants]
 
     def choose(self, scores: ArrayLike) -> None:
@@ -111,7 +112,7 @@ class GeneticAlgorithm(DesignSearch):
         """
         if not self._mutants:
             raise RuntimeError("choose: mutants must be asked for first")
-        values = np.asarray(scores, dtype=np.float64)
+        values = check_array("scores", scores)
         expected = (len(self._mutants), len(self._mutants[0]))
         if values.shape != expected or not np.isfinite(values).all():
             got = f"shape {values.shape}" if values.shape != expected else "some that are not finite"

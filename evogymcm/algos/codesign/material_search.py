@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from evogymcm._settings import check_array
 from evogymcm.algos.codesign.body_search import check_settings
 from evogymcm.algos.codesign.config import SearchConfig
 from evogymcm.algos.codesign.design import Design, Individual
@@ -110,7 +111,7 @@ class MaterialSearch:
         """
         if not self._asked:
             raise RuntimeError("tell: nothing has been asked for")
-        values = np.array(scores, dtype=np.float64)
+        values = check_array("scores", scores)
         accepted = np.zeros(len(self.individuals), dtype=bool)
         n = len(self.individuals) * self.config.candidates
         if values.shape != (n,) or not np.isfinite(values).all():

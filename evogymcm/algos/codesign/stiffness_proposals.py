@@ -80,6 +80,8 @@ class CMA:
         }
         self.start = start
         voxels = start.field[start.body.occupancy]
+        if len(voxels) == 1:
+            options["maxstd_boundrange"] = 1e9  # pycma fails at a limit on the step of a single number
         self.optimizer = load_cma().CMAEvolutionStrategy(np.log(voxels), config.sigma, options)
         self.points: list[Field] = []
 

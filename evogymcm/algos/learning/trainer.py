@@ -1,6 +1,7 @@
 """The learner of a run: rollouts, updates, evaluations, and all the state that resuming needs."""
 
 import copy
+import inspect
 import time
 from collections.abc import Callable, Mapping
 from contextlib import nullcontext
@@ -41,6 +42,15 @@ def _copies(config: PPOConfig, env: EnvBase) -> int | None:
     return env.num_designs
 
 
+# What TorchRL's collectors do beside collecting and nothing here needs. Versions 0.11 and 0.12 know neither name: they
+# add no transforms, and always number trajectories.
+_WITHOUT = {
+    name: False
+    for name in ("auto_register_policy_transforms", "track_traj_ids")
+    if name in inspect.signature(Collector).parameters
+}
+
+
 class WorldCollector(Collector):
     """A collector whose state holds the live worlds too, so that a resumed run goes on within its episodes.
 
@@ -52,7 +62,8 @@ class WorldCollector(Collector):
 
     def state_dict(self) -> dict[str, Any]:
         """Returns the environment's state and the policy's next input, on the CPU."""
-        return {"env": dict(self.env.state_dict()), "carrier": on_cpu(self._carrier.to_dict())}
+        carrier = self._carrier.exclude("collector")  # trajectories' numbers, which not every version of TorchRL has
+        return {"env": dict(self.env.state_dict()), "carrier": on_cpu(carrier.to_dict())}
 
     def load_state_dict(self, state_dict: dict[str, Any], **kwargs: Any) -> None:
         """Restores what `state_dict` returned."""
@@ -61,6 +72,7 @@ class WorldCollector(Collector):
         self.env.load_state_dict(state_dict["env"])
         carrier = self._carrier
         self._carrier = TensorDict(state_dict["carrier"], batch_size=carrier.batch_size, device=carrier.device)
+        self._carrier.update(carrier.select("collector", strict=False))
 
 
 class Trainer:
@@ -120,13 +132,9 @@ class Trainer:
         self.policy = self.actor if copies is None else PerDesign(self.actor, copies)
         self.learner = PPOLearner(self.actor, self.critic, config, self.generator)
         with exploration(True):
-            self.collector = WorldCollector(
-                env,
-                self.policy,
-                frames_per_batch=config.frames_per_update,
-                auto_register_policy_transforms=False,
-                track_traj_ids=False,
-            )
+            self.collector = WorldCollector(env, self.policy, frames_per_batch=config.frames_per_update, **_WITHOUT)
+        if is_stream:
+            engine_of(env).stagger(self.config.seed)
 
     def _check_starts(self, env: EnvBase) -> None:
         """Raises a ValueError where an evaluation cannot have as many starts as the settings say."""

@@ -215,6 +215,17 @@ def test_cma_copes_with_tiny_bodies_and_flat_scores(body):
     np.testing.assert_array_equal(search.best.scores, [1.0])
 
 
+@pytest.mark.filterwarnings("ignore:.*Initial standard deviation")
+@pytest.mark.parametrize("sigma", [0.2, 1.0, 5.0])
+def test_cma_takes_large_steps_over_one_voxel_too(sigma):
+    people = [Individual(0, Design(Body("H.")), fitness=0.0)]
+    search = MaterialSearch(people, seed=0, proposal="cma", candidates=2, rounds=20, sigma=sigma)
+    while not search.is_finished:
+        fields = search.ask()
+        assert ((fields[:, 0, 0] >= 0.5) & (fields[:, 0, 0] <= 2.0)).all()
+        search.tell(np.abs(np.log(fields[:, 0, 0])))
+
+
 def test_cma_leaves_the_global_generator_alone():
     pytest.importorskip("cma")
     before = np.random.get_state()[1].copy()  # noqa: NPY002

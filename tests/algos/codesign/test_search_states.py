@@ -144,3 +144,17 @@ def test_a_shape_without_further_bodies_is_an_error(monkeypatch):
     search = RandomSearch((1, 3), 98, 98, seed=0)  # 125 - 27 have an actuator, but some are in two parts
     with pytest.raises(RuntimeError, match=r"shape \(1, 3\) after \d\d bodies"):
         search.ask()
+    assert (search.n_designs, search.population, search.state_dict()["seen"]) == (0, [], [])
+
+
+@pytest.mark.parametrize("ask", [lambda search: search.ask(), lambda search: search.mutants(9)])
+def test_children_that_cannot_all_be_found_leave_none(monkeypatch, ask):
+    monkeypatch.setattr("evogymcm.algos.codesign.body_search._MAX_FAILURES", 100)
+    search = GeneticAlgorithm((1, 2), 8, 5, seed=0, weights=(1, 0, 0, 1, 1))  # there are 8 bodies
+    search.tell({item.index: 0.0 for item in search.ask()})
+    before = {name: value for name, value in search.state_dict().items() if name != "rng"}
+    search._seen |= {"33", "34", "43", "44", "30", "03"}  # at most two are left, for three children
+    before["seen"] = sorted(search._seen)
+    with pytest.raises(RuntimeError, match="no new body"):
+        ask(search)
+    assert {name: value for name, value in search.state_dict().items() if name != "rng"} == before

@@ -70,8 +70,8 @@ def test_ratio_is_one_per_body_and_one_at_first(rollout):
     samples, _ = learner._samples(rollout)  # collected by the same weights
     out = learner.loss(samples)
     assert samples["action_log_prob"].shape == (36,)
-    assert out["mean_ratio"].item() == pytest.approx(1, abs=1e-5)
-    assert out["max_ratio"].item() == pytest.approx(1, abs=1e-4)
+    assert out["kl_approx"].item() == pytest.approx(0, abs=1e-5)  # the mean of the ratio's logarithm
+    assert out["ESS"].item() == pytest.approx(1, abs=1e-5)  # the effective share of samples: all ratios are the same
 
 
 def test_learning_rate_decays_with_what_remains(rollout):

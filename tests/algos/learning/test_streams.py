@@ -35,6 +35,20 @@ def test_training_meets_ever_new_bodies_and_evaluations_the_same_others():
     assert env.grid_shape == played[0].grid_shape == (3, 3)
 
 
+def test_worlds_change_their_bodies_one_after_another():
+    settings = replace(TINY, rollout_steps=1, num_worlds=6, minibatch=6)  # of episodes of 12 env-steps
+    with make_trainer(replace(CONFIG, ppo=settings), num_threads=1) as trainer:
+        engine, ended = trainer._env.engine, []
+        assert sorted(engine.length.tolist()) == [0, 2, 4, 6, 8, 10]
+        for _ in range(24):
+            before = [body.text for body in engine.bodies]
+            trainer.update()
+            ended.append(sum(engine.length == 0))
+            assert sum(body.text != old for body, old in zip(engine.bodies, before, strict=True)) <= ended[-1]
+    assert max(ended) == 1  # none together
+    assert sum(ended) == 12  # whole episodes, after the first
+
+
 def test_the_others_may_be_played_from_several_starts():
     with make_trainer(CONFIG, num_threads=1) as one:
         alone = one.evaluate()

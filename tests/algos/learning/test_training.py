@@ -44,6 +44,7 @@ def test_several_bodies_learn_in_one_batch():
     assert result.final.score.shape == (2,)
 
 
+@pytest.mark.filterwarnings("error::FutureWarning")  # of TorchRL's collectors, about what a training does not need
 @pytest.mark.parametrize("material", ["reactive", "invariant"])
 def test_same_seed_same_policy(material):
     make = functools.partial(make_toy, material=material, noise=0.1)

@@ -1,16 +1,15 @@
-"""Checks: of tasks, for their authors' tests, and of this machine's bits."""
+"""The contract of tasks."""
 
 import pickle
-import random
 from typing import Any
 
 import numpy as np
 
-from evogymcm.envs._selfcheck import Part, SelfCheck, selfcheck
 from evogymcm.envs.core import TaskEngine
 from evogymcm.envs.dealing import BodySpec
 from evogymcm.envs.task import Task
 from evogymcm.envs.tasks import as_task
+from evogymcm.testing._generators import global_generators
 
 _N_WORLDS, _ALL = 3, slice(None)
 _SHOWN = ("flat", "features", "reward", "score", "returns", "length", "terminated", "truncated", "unstable", "reached")
@@ -63,9 +62,9 @@ def check_task(task: str | Task, body: BodySpec = "HVH/S.R", *, steps: int = 8, 
 
 def _check_draws(task: Task, seed: int) -> None:
     """Checks that draws depend on their generator alone."""
-    before = _global_generators()
+    before = global_generators()
     first, again = (task.draw(np.random.default_rng(seed)) for _ in range(2))
-    if before != _global_generators():
+    if before != global_generators():
         raise ValueError(f"task {task.id!r}: draw: it uses a global generator; draw from `rng` only")
     for name, value in first.items():
         if not np.array_equal(value, again[name]):
@@ -73,10 +72,6 @@ def _check_draws(task: Task, seed: int) -> None:
                 f"task {task.id!r}: draw: {name!r} is {value!r}, then {again[name]!r} from the same seed; "
                 "draw from `rng` only"
             )
-
-
-def _global_generators() -> bytes:
-    return pickle.dumps((np.random.get_state(), random.getstate()))  # noqa: NPY002, this is what nobody may use
 
 
 def _compare(task: Task, what: str, got: TaskEngine, batch: TaskEngine, rows: Any, step: int) -> None:
@@ -95,6 +90,3 @@ def _check_finite(task: Task, engine: TaskEngine, step: int) -> None:
     for name, value in values.items():
         if not np.isfinite(value).all():
             raise ValueError(f"task {task.id!r}: {name!r} is {value.tolist()} in env-step {step + 1}, not finite")
-
-
-__all__ = ["Part", "SelfCheck", "check_task", "selfcheck"]
