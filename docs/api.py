@@ -26,6 +26,7 @@ ROOMS = (
     "evogymcm.algos.analysis",
     "evogymcm.report",
     "evogymcm.fabrication",
+    "evogymcm.studio",
     "evogymcm.testing",
     "evogymcm.sim",
 )

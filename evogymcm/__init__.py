@@ -14,7 +14,7 @@ from evogymcm.body import (
 )
 from evogymcm.envs.tasks import register_task, tasks
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 __all__ = [
     "Body",

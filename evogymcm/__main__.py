@@ -24,6 +24,7 @@ COMMANDS: MappingProxyType[str, str] = MappingProxyType(  # modules of `evogymcm
         "gait": "search for a gait that moves a body, within seconds",
         "train": "train a policy for given bodies",
         "codesign": "evolve bodies, materials and control together",
+        "studio": "draw a robot in the browser, and watch it move and learn",
         "report": "make an HTML report of training, co-design or suite folders",
         "export": "write a design as drawing, table and meshes, for fabrication",
     }

@@ -226,15 +226,20 @@ def check_stiffness(stiffness: ArrayLike | None, body: Body) -> NDArray[np.float
     Raises:
         ValueError: The shape is not the body's, or a voxel's factor is outside [0.5, 2] or not a number.
     """
+    return check_field(stiffness, body.occupancy)
+
+
+def check_field(stiffness: ArrayLike | None, occupancy: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Returns a new stiffness field for voxels that need not form a body, see `check_stiffness`."""
     if stiffness is None:
-        return np.ones(body.shape)
+        return np.ones(occupancy.shape)
     try:
         field = as_numbers(stiffness)
     except (TypeError, ValueError) as error:
         raise ValueError(f"stiffness: expected equally long rows of numbers, got {brief(stiffness)}") from error
-    if field.shape != body.shape:
-        raise ValueError(f"stiffness: got shape {field.shape}, expected the body's {body.shape}")
-    field[~body.occupancy] = 1.0
+    if field.shape != occupancy.shape:
+        raise ValueError(f"stiffness: got shape {field.shape}, expected the body's {occupancy.shape}")
+    field[~occupancy] = 1.0
     if not np.all((field >= STIFFNESS_LOW) & (field <= STIFFNESS_HIGH)):
         raise ValueError(
             f"stiffness: got values from {field.min()} to {field.max()}, "

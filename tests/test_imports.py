@@ -10,7 +10,7 @@ import pytest
 import evogymcm
 
 ROOT = Path(__file__).resolve().parents[1]
-PARTS = ("sim", "envs", "algos", "report", "fabrication", "commands")
+PARTS = ("sim", "envs", "algos", "report", "fabrication", "studio", "commands")
 LAYERS = (*(f"evogymcm.{part}" for part in PARTS), "benchmarks")  # each may import those before it
 MODULES = sorted(path for folder in ("evogymcm", "benchmarks") for path in (ROOT / folder).rglob("*.py"))
 

@@ -34,7 +34,16 @@ TEXTS = {
 }
 FLAGS = {"decay_learning_rate", "inherit"}
 GROUPS = {"schedule", "shape", "weights", "rungs", "keep", "search", "ppo"}
-OPTIONAL = {"hidden", "eval_worlds", "search", "max_env_steps", "inherit_std", "finetune_steps", "num_threads"}
+OPTIONAL = {
+    "hidden",
+    "eval_worlds",
+    "search",
+    "max_env_steps",
+    "inherit_std",
+    "finetune_steps",
+    "num_threads",
+    "work_weight",
+}
 
 
 @pytest.mark.parametrize("config", CONFIGS, ids=lambda config: type(config).__name__)

@@ -165,11 +165,11 @@ def _stage(policy: Any, env: object) -> _Stage:
         return _InEnvironment(policy, env)
     engine = engine_of(env)
     engine.with_voxels = engine.with_voxels or "voxels" in policy.in_keys  # Gymnasium's does not observe them
-    return _OnEngine(_acting(policy), engine)
+    return _OnEngine(as_gait(policy), engine)
 
 
-def _acting(policy: "TensorDictModuleBase") -> Gait:
-    """Returns a module as a function of the engine."""
+def as_gait(policy: "TensorDictModuleBase") -> Gait:
+    """Returns a module as a function of an engine that observes what the module takes."""
     import torch
     from tensordict import TensorDict
 

@@ -19,6 +19,7 @@ from evogymcm.body import Body, as_body
 from evogymcm.envs import SoftRobotEnv
 
 _NAMES = ("final.pt", "best.pt", "codesign.pt")
+_CHECKPOINT = "checkpoint.pt"
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,7 +105,8 @@ def load_policy(path: str | Path) -> SavedPolicy:
 
     Args:
         path: A run's folder, of this version or an earlier one, or a file in it or alone: `final.pt`, `best.pt`,
-            `codesign.pt` (its best design), `policy-0003.pt` (design 3).
+            `codesign.pt` (its best design), `policy-0003.pt` (design 3), `checkpoint.pt` (the newest of a training that
+            goes on).
 
     Raises:
         ValueError: There is no policy, or the run's files cannot be read.
@@ -124,6 +126,8 @@ def load_policy(path: str | Path) -> SavedPolicy:
         saved = best.get("policy") or _load(found.with_name(f"policy-{row['index']:04}.pt"))  # first of before
     elif run and run.kind == "codesign" and (number := re.fullmatch(r"policy-(\d+)\.pt", found.name)):
         row = run.designs[int(number[1])]
+    elif found.name == _CHECKPOINT and "trainer" in saved:
+        saved = saved["trainer"]["learner"] | {"form": saved["trainer"]["best"]["form"]}
     if "form" not in saved:
         raise ValueError(f"policy: {found} holds no policy")
     is_reactive = "stiffness" in saved["form"]["ranges"]
