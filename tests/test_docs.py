@@ -3,8 +3,11 @@
 import contextlib
 import importlib
 import io
+import os
 import pkgutil
 import re
+import shutil
+import subprocess
 import sys
 import types
 from importlib.metadata import entry_points
@@ -17,6 +20,7 @@ from tests.clients.recipe import SMALLER as OF_RECIPES
 from tests.registries import shorten
 
 ROOT = Path(__file__).resolve().parents[1]
+BROWSER = shutil.which("chromium") or shutil.which("google-chrome")
 PAGES = {path.stem: path.read_text(encoding="utf-8") for path in sorted((ROOT / "docs").glob("*.md"))}
 FENCE = re.compile(r"^```(?P<info>.+)\n(?P<content>(?:.*\n)*?)```$", re.MULTILINE)
 OUTPUT = 'text title="Output"'
@@ -120,6 +124,20 @@ def test_search_works_from_disk_and_pages_load_nothing_from_elsewhere():
     assert (ROOT / "docs" / script).is_file()
 
 
+@pytest.mark.slow
+@pytest.mark.skipif(BROWSER is None, reason="needs chromium or google-chrome")
+def test_search_box_finds_pages_of_the_site_opened_from_disk(tmp_path):
+    pytest.importorskip("mkdocs")
+    site = tmp_path / "site"
+    command = [sys.executable, "-m", "mkdocs", "build", "--quiet", "--site-dir", str(site)]
+    subprocess.run(command, cwd=ROOT, check=True, env=os.environ | {"NO_MKDOCS_2_WARNING": "1"})
+    options = ["--headless", "--no-sandbox", "--disable-gpu", "--virtual-time-budget=8000", "--dump-dom"]
+    page = f"{(site / 'index.html').as_uri()}?q=hardness"
+    done = subprocess.run([BROWSER, *options, page], capture_output=True, text=True, check=True, timeout=60)
+    found = re.findall(r'href="([^"]*)" class="md-search-result__link"', done.stdout)
+    assert any(target.startswith(f"{(site / 'fabrication.html').as_uri()}") for target in found)
+
+
 def test_functions_of_the_journeys_exist():
     names = set(re.findall(r"`(evogymcm(?:\.\w+)+)`", PAGES["architecture"]))
     assert len(names) > 30
@@ -142,3 +160,27 @@ def test_commands_of_the_pages_exist(capsys):
         assert f"evogymcm {command}" in shown
         options = {option for name, rest in lines if name == command for option in re.findall(r"--[\w.-]+", rest)}
         assert all(re.search(rf"(?<![\w-]){re.escape(option)}(?![\w.-])", shown) for option in options), options
+
+
+def test_every_public_name_of_evogym_has_a_place_on_its_page():
+    named = set(re.findall(r"\w+", " ".join(re.findall("`([^`]+)`", FENCE.sub("", PAGES["from-evogym"])))))
+    utils = "BASELINE_ENV_NAMES VOXEL_TYPES Pair Timer draw get_full_connectivity get_uniform has_actuator hashable"
+    worlds = """
+        EvoWorld WorldObject from_json load_from_json from_array load_from_array add_from_json add_from_array add_object
+        remove_object translate_object move_object pretty_print translate set_pos get_structure get_connections get_pos
+        rename get_name copy
+    """
+    simulator = """
+        EvoSim set_action step reset revert get_time pos_at_time vel_at_time object_pos_at_time object_vel_at_time
+        object_orientation_at_time get_actuator_indices get_dim_action_space
+    """
+    viewer = """
+        EvoViewer render set_resolution set_view_size set_pos set_target_rps show_debug_window hide_debug_window close
+        track_objects set_tracking_settings
+    """
+    environments = """
+        EvoGymBase BenchmarkBase PackageBase ClimbBase StairsBase ShapeBase GoalBase VOXEL_SIZE DATA_PATH sim world
+        default_viewer get_pos_com_obs get_vel_com_obs get_relative_pos_obs get_ort_obs get_floor_obs get_ceil_obs
+    """
+    names = f"{utils} sample_robot is_connected {worlds} {simulator} {viewer} {environments}".split()
+    assert [name for name in names if name not in named] == []

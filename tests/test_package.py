@@ -166,5 +166,9 @@ def test_citation_and_changelog_are_of_this_version():
     citation = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
     assert citation["version"] == evogymcm.__version__
     assert citation["license"] == PROJECT["license"]
-    assert any("Evolution Gym" in work["title"] for work in citation["references"])
+    titles = [work["title"] for work in citation["references"]]
+    page = (ROOT / "docs" / "citation.md").read_text(encoding="utf-8")
+    assert f"version = {{{evogymcm.__version__}}}," in page
+    assert [title for title in titles[:2] if f"{{{title}}}" not in page] == []
+    assert any("Evolution Gym" in title for title in titles)
     assert f"## {evogymcm.__version__}" in (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")

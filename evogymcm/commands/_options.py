@@ -115,7 +115,7 @@ def open_run(path: Path, config: dict[str, Any], *, resume: bool, overwrite: boo
         if not (path / "config.json").is_file():
             raise ValueError(f"run: {error}; choose another folder (--run)") from None
         raise ValueError(
-            f"run: {path} exists; go on with it (--resume), replace it (--overwrite) or choose another folder (--run)"
+            f"run: {path} exists; continue it (--resume), replace it (--overwrite) or choose another folder (--run)"
         ) from None
 
 

@@ -33,7 +33,7 @@ materials:
   --material invariant --search           stiffness belongs to the design and is searched, and survivors are fine-tuned
 
 Any of the --search options turns the search on. The --ppo options are those of one body. Ctrl-C stops at the end of the
-present update; --resume goes on from there.
+present update; --resume continues from there.
 
 examples:
   evogymcm codesign Walker-v0 --population 8 --budget 32
@@ -163,7 +163,7 @@ def _print_best(config: CodesignConfig, result: "CodesignResult", path: Path) ->
     print(f"score   {score:.3f}{bound}: its stored policy, deterministic, in a fresh world")
     print(f"return  {alone.returns[0]:.3f}")
     if config.eval_starts > 1:
-        hair = f"the score from {config.eval_starts} starts that differ by a hair"
+        hair = f"the score from {config.eval_starts} starts that differ by 1e-6 m"
         print(f"robust  {alone.robust[0]:.3f} ± {alone.spread[0]:.3f}: {hair}")
     for line in work_lines(alone.row(0)):
         print(line)

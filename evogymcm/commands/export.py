@@ -16,10 +16,10 @@ if TYPE_CHECKING:  # numba is loaded when the command runs, not for its help
 
     from evogymcm.body import Body
 
-DESCRIPTION = """Writes a sheet for fabrication: a drawing in true size (SVG), a table of voxels (CSV), meshes (STL).
+DESCRIPTION = """Writes a sheet for fabrication: a drawing at true scale (SVG), a table of voxels (CSV), meshes (STL).
 
-A calibration is a CSV file with a column "stiffness" and others that it says, such as modulus and infill; the table
-then has them for each voxel.
+A calibration is a CSV file with a column "stiffness" and other columns of numbers, such as modulus and infill; the
+table of voxels then has these for each voxel.
 
 examples:
   evogymcm export HHH/V.V --stiffness 2,2,2/0.5,1,0.5 --size 20

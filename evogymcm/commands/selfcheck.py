@@ -22,8 +22,8 @@ _ABOUT = {
     "friction": "contact as it is, takes tanh",
     "orientation": "takes acos",
 }
-DESCRIPTION = """Simulates every task for a moment, always the same, and compares every bit with what the package was
-released with: about a second, once the simulator is compiled. Where bits differ, the table says whether the
+DESCRIPTION = """Simulates a few env-steps of every task, always the same ones, and compares all bits with those that
+came with the package: about a second, once the simulator is compiled. Where bits differ, the table says whether the
 C library's functions do or the arithmetic does.
 
 examples:

@@ -30,7 +30,7 @@ if TYPE_CHECKING:  # torch is loaded when a command runs, not for its help
 
 DESCRIPTION = """Trains a policy with PPO and keeps it in a run folder.
 
-Ctrl-C stops at the end of the present update; --resume goes on from there.
+Ctrl-C stops at the end of the present update; --resume continues from there.
 
 examples:
   evogymcm train Walker-v0 --body Walk_Bot --total-steps 200000
@@ -154,7 +154,7 @@ def _print_result(result: "TrainResult", bodies: Sequence[str], path: Path) -> N
         if len(final.starts) > 1:
             robust, spread = (values[i :: len(bodies)].mean() for values in (final.robust, final.spread))
             print(
-                f"robust  {robust:.3f} ± {spread:.3f}: the score from {len(final.starts)} starts that differ by a hair"
+                f"robust  {robust:.3f} ± {spread:.3f}: the score from {len(final.starts)} starts that differ by 1e-6 m"
             )
     for line in work_lines(mean_work(final.work)):
         print(line)

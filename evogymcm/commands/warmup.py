@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 DESCRIPTION = """Compiles the simulator (about 20 s) and keeps it on disk. Without it the first simulation does
-the same; where the machine code is there already, this takes a moment.
+the same. Where that is done already, it takes a moment.
 
 examples:
   evogymcm warmup"""

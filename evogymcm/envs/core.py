@@ -33,7 +33,7 @@ class TaskEngine(Observed, Episodes):
 
     Args:
         task: A task or its id.
-        bodies: A body or a list of bodies (anything that `as_body` takes), dealt to the worlds in turn. Or a stream,
+        bodies: A body or a list of n bodies (anything that `as_body` takes): world w has body w % n. Or a stream,
             from which a world gets a new body at each reset: `draw(rng)`, called with the world's own generator, which
             is made from its seed, or an iterator, which cannot be seeded or saved. In the invariant setting a stream
             may return (body, stiffness).
@@ -228,7 +228,7 @@ class TaskEngine(Observed, Episodes):
             self.length = order * limit // self.num_worlds
 
     def set_starts(self, starts: int, seed: int = 0) -> None:
-        """Makes the worlds n = N / starts worlds several times over, from starts that differ by a hair.
+        """Makes the worlds n = N / starts worlds several times over, from starts that differ by 1e-6 metres.
 
         World w is world w % n from start w // n, and draws what that one draws. Start 0 is the exact one; in the others
         each point of the robot is moved by normal noise of 1e-6 metres, which the seed and the start's number say.

@@ -46,7 +46,7 @@ class SB3VecEnv(VecEnv):
         if _missing is not None:
             raise ImportError("SB3VecEnv needs stable-baselines3: pip install evogymcm[sb3]") from _missing
         if "autoreset_mode" in options:
-            raise ValueError("autoreset_mode: Stable-Baselines3 has one of its own, ended worlds start anew at once")
+            raise ValueError("autoreset_mode: Stable-Baselines3 has its own, in which ended worlds restart at once")
         self.envs = GymnasiumVectorEnv(task, body, num_envs, autoreset_mode="SameStep", **options)
         num_envs = self.envs.num_envs
         self._lengths = np.zeros(num_envs, np.int64)

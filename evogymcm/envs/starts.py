@@ -1,4 +1,4 @@
-"""Starts that differ by a hair, to see how much of an episode is chance: contact makes much of little."""
+"""Starts that differ by 1e-6 metres, to see how much of an episode is chance: contact amplifies small differences."""
 
 from collections.abc import Iterable, Sequence
 

@@ -48,7 +48,7 @@ class SoftRobotEnv(Adapter, EnvBase):
 
     Args:
         task: A task or its id.
-        bodies: A body or a list of bodies, dealt to the worlds in turn. Or a stream, from which a world gets a new body
+        bodies: A body or a list of n bodies: world w has body w % n. Or a stream, from which a world gets a new body
             at each reset: `draw(rng)` or an iterator, see `TaskEngine`.
         num_worlds: N; as many as bodies by default, 1 with a stream.
         device: Where tensors go; the simulator runs on the CPU.

@@ -31,7 +31,7 @@ def export_design(
 ) -> list[Path]:
     """Writes the sheet of a design into a folder, all of it in one step, and returns the files' paths.
 
-    `sheet.svg` is the drawing in true size, with a layer for each material; `sheet.csv` the table of voxels; and for
+    `sheet.svg` is the drawing at true scale, with a layer for each material; `sheet.csv` the table of voxels; and for
     each material, such as soft voxels of stiffness 1.41, there is a mesh, `soft-S1.41.stl`, in millimetres and at its
     place in the body.
 

@@ -110,7 +110,7 @@ class Sheet:
         return text.getvalue()
 
     def drawing(self) -> str:
-        """Returns the sheet as SVG in millimetres, true to size.
+        """Returns the sheet as SVG in millimetres, at true scale.
 
         Layers, as Inkscape shows them: one for each material, then marks of the directions of actuators, cuts between
         neighbours that are not joined, and labels.

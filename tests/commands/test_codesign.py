@@ -78,7 +78,7 @@ def test_the_robust_score_is_told_where_there_are_several_starts(sprint, capsys,
     assert main(["codesign", sprint, *TINY, "--run", "run", "--eval-starts", "2", "--selection", "robust"]) == 0
     best = json.loads((tmp_path / "run" / "result.json").read_text())["best"]
     assert best["fitness"] == best["robust_score"]
-    told = f"robust  {best['robust_score']:.3f} ± {best['spread']:.3f}: the score from 2 starts that differ by a hair"
+    told = f"robust  {best['robust_score']:.3f} ± {best['spread']:.3f}: the score from 2 starts that differ by 1e-6 m"
     assert told in capsys.readouterr().out
 
 

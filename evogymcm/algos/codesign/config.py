@@ -143,7 +143,7 @@ class CodesignConfig:
         keep: share of the bodies that continue after each rung.
         age_protection: generations in which new bodies are protected, see `GeneticAlgorithm`.
         finetune_steps: env-steps of fine-tuning for each survivor after a search; None for 1 % of its training.
-        eval_starts: number of starts, a hair apart, from which a design is scored, see `evaluate`.
+        eval_starts: number of starts, 1e-6 metres apart, from which a design is scored, see `evaluate`.
         selection: what fitness is: the score from the exact start, or the "robust" one, the mean over several starts.
             `ppo` says which policy of a training is the best one.
         ppo: settings of the inner loop for one body. `sharing` says whether the bodies of a generation have policies of

@@ -30,7 +30,7 @@ class Scores:
         returns: (D,) sums of all rewards.
         ceiling: (D,) largest possible scores where the task has one, NaN where it has none.
         env_steps: simulated in all.
-        robust: (D,) mean scores over starts that differ by a hair, see `evaluate`.
+        robust: (D,) mean scores over starts that differ by 1e-6 metres, see `evaluate`.
         spread: (D,) standard deviations over them; NaN where there is only the exact one.
         work: (D, 4) work of an episode, see `Evaluation`; NaN where it is not measured.
     """
@@ -98,7 +98,7 @@ def score_alone(
         designs: D designs.
         policies: D policies.
         seed: seed of random resets, counted up over several episodes; the same for all designs.
-        starts: number of starts, a hair apart, from which each episode is played, see `evaluate`.
+        starts: number of starts, 1e-6 metres apart, from which each episode is played, see `evaluate`.
 
     Raises:
         ValueError: There are not as many policies as designs.
@@ -114,7 +114,7 @@ def score_together(
     """Scores several designs under each policy in one batch: fast, and the same as `score_alone` but for rounding.
 
     `groups` has C designs for each of P policies; the arrays of the scores have the shape (P, C). Each episode is
-    played from `starts` that differ by a hair, see `evaluate`.
+    played from `starts` that differ by 1e-6 metres, see `evaluate`.
 
     Raises:
         ValueError: There are not as many policies as groups.

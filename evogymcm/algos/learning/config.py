@@ -78,7 +78,7 @@ class PPOConfig:
         eval_interval: env-steps between evaluations; 0 for only the untrained and the final policy.
         eval_worlds: worlds in an evaluation; None for one of each design (8 where the task draws at random), or for 64
             held-out bodies under random bodies.
-        eval_starts: number of starts, a hair apart, from which each world of an evaluation is played, see `evaluate`.
+        eval_starts: number of starts, 1e-6 m apart, from which each world of an evaluation is played, see `evaluate`.
         selection: what the best policy is best by: the score of the exact start, or the "robust" one, the mean over
             several starts.
         seed: seed of weights, exploration and environments.
@@ -165,7 +165,7 @@ class TrainConfig:
             one. Evaluations use `ppo.eval_worlds` bodies (64 by default) that no run trains on, the same ones in all
             runs.
         work_weight: What a unit of supplied work costs in reward: a number, or one for work of actuation and one for
-            work of stiffness. 0 has evaluations tell the work; None does not measure it. Scores are always the task's.
+            work of stiffness. With 0 it is only reported, with None not measured. Scores are always the task's.
         ppo: Settings of PPO.
 
     Raises:

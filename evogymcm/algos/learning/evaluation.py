@@ -29,7 +29,7 @@ class Evaluation:
         unstable: whether the simulation became unstable.
         ceiling: largest possible score, NaN for tasks without one.
         env_steps: env-steps simulated in all, from all starts; worlds that wait for others are not simulated.
-        starts: (K, N) scores from K starts, a hair apart, see `evaluate`; the first row is `score`.
+        starts: (K, N) scores from K starts, 1e-6 metres apart, see `evaluate`; the first row is `score`.
         work: (N, 4) work of the episode: what actuation and what stiffness supplied, then the net work of both; NaN
             where it was not measured, see `EngineOptions`.
     """
@@ -108,8 +108,8 @@ def evaluate(policy: "TensorDictModuleBase | Gait", env: object, starts: int = 1
     Use a freshly made environment: a reset restores the initial state, but the random generators of the worlds continue
     where they were.
 
-    An episode is one trajectory, and contact makes much of little. With K `starts`, the environment's worlds are N
-    worlds K times over, from starts that differ by a hair (`TaskEngine.set_starts`). `score` and all else but
+    An episode is one trajectory, and contact amplifies small differences. With K `starts`, the environment's worlds are
+    N worlds K times over, from starts that differ by 1e-6 metres (`TaskEngine.set_starts`). `score` and all else but
     `starts`, `robust` and `spread` are of the exact one, the same to the last bit as without the others.
 
     Args:

@@ -8,11 +8,11 @@ from tensordict.nn import TensorDictModuleBase
 
 
 class InGroups(TensorDictModuleBase):
-    """Policies that are dealt to groups of worlds in turn. Each group is asked by itself, whoever stands beside it.
+    """Policies of groups of worlds, in turn. The actions of each group are computed separately from those of others.
 
     Groups whose episodes have all ended are not asked: their actions are 1, and have no effect.
 
-    A batched matrix product may round a row differently with the number of rows, and contact makes much of little.
+    A batched matrix product may round a row differently with the number of rows, and contact amplifies differences.
 
     Args:
         policies: P policies; group g is asked of policy g % P.

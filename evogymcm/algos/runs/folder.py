@@ -153,7 +153,7 @@ class RunFolder(RunFiles):
         if not (self.path / CONFIG).is_file():
             raise FileExistsError(f"{self.path} exists and is not a run folder")
         if not (resume or overwrite):
-            raise FileExistsError(f"{self.path} exists; set resume to go on with it or overwrite to replace it")
+            raise FileExistsError(f"{self.path} exists; set resume to continue it or overwrite to replace it")
         if resume:
             self._refuse_others(config, set.union)
         return overwrite
