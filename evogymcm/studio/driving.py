@@ -52,7 +52,8 @@ class Driver:
     """What moves robots in a task, whatever they are.
 
     Args:
-        policy: "sine", "random", "still", "baseline", the folder of a run, one of its files, or a `SavedPolicy`.
+        policy: "sine", "random", "still", "baseline", the folder of a run, one of its files, a file of gaits (.json)
+            with one in it, or a `SavedPolicy`.
         task: The task.
         material: "invariant" or "reactive".
 
@@ -71,6 +72,8 @@ class Driver:
             self._baseline = _find_baseline(task, material)
         elif isinstance(policy, str) and policy in _GAITS:
             self._gait = _GAITS[policy]
+        elif isinstance(policy, str | os.PathLike) and Path(policy).suffix == ".json" and Path(policy).is_file():
+            self._gait = _load_gait(Path(policy), material)
         else:
             self.saved = _load(policy, material)
 
@@ -125,6 +128,17 @@ def _load(policy: Any, material: str) -> "SavedPolicy":
     if saved != material:
         raise ValueError(f"material: got {material!r}, the policy was trained with {saved!r}")
     return policy
+
+
+def _load_gait(path: Path, material: str) -> Callable[[int], Any]:
+    from evogymcm.algos.gaits.stored import load_gaits
+
+    saved = load_gaits(path)
+    if len(saved.bodies) != 1:
+        raise ValueError(f"policy: {path} holds gaits of {len(saved.bodies)} bodies, expected one")
+    if saved.material != material:
+        raise ValueError(f"material: got {material!r}, the gait was found with {saved.material!r}")
+    return lambda seed: saved.waves
 
 
 def _find_baseline(task: Task, material: str) -> Any:

@@ -165,8 +165,10 @@ class Runs:
         from evogymcm.studio.improving import SEARCH, MaterialImprovement
         from evogymcm.studio.watching import read_field
 
-        if wanted.policy in (*GAITS, BASELINE):
-            raise ValueError("It needs a trained policy: train first, and choose it under “Moved by”.")
+        if wanted.policy in (*GAITS, BASELINE) and wanted.policy != SINE:
+            raise ValueError("It needs the sine gait or a trained policy: choose one under “Moved by”.")
+        if wanted.material == "reactive":
+            raise ValueError("In the reactive setting stiffness belongs to what moves the robot, not to its material.")
         search = replace(SEARCH, rounds=check_count("rounds", rounds))
         folder = self._new(id, MATERIAL)
         job = MaterialImprovement(folder, wanted.body, read_field(wanted), wanted.task, wanted.policy, search)

@@ -238,8 +238,9 @@ def test_a_policy_is_trained_its_material_improved_and_bodies_evolve(studio):
         session = studio.open(id)
         element(user, "material-rounds").value = 2
         element(user, "learn-tabs").value = "material"
+        session.drive("random")
         await press(user, "material-start")
-        await user.should_see("It needs a trained policy", retries=50)
+        await user.should_see("It needs the sine gait or a trained policy", retries=50)
         element(user, "learn-tabs").value = "train"
         element(user, "train-steps").value = 1000
         await press(user, "train-start")

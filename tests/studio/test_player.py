@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from evogymcm.algos import PPOConfig, TrainConfig, evaluate, load_policy, train
+from evogymcm.algos.gaits import FoundGaits, Waves, save_gaits
 from evogymcm.envs import SoftRobotEnv, TaskEngine, sine_gait
 from evogymcm.sim.world import World
 from evogymcm.studio.player import Player
@@ -63,6 +64,19 @@ def test_a_policy_of_a_run_acts_as_in_its_evaluation(sprint, material):
     assert play_out(player)["score"] == evaluate(saved.module(env), env).score[0]
     with pytest.raises(ValueError, match="was trained with"):
         Player(BODY, None, sprint, {"invariant": "reactive", "reactive": "invariant"}[material], "run")
+
+
+def test_a_found_gait_moves_as_in_its_evaluation(tmp_path):
+    waves, path = Waves(np.linspace(-1, 1, 9)[None]), tmp_path / "gait.json"
+    expected = evaluate(waves, TaskEngine("Walker-v0", BODY, stiffness=[FIELD], num_threads=1))
+    found = FoundGaits(waves, expected.score, expected.length, [], finished=True)
+    save_gaits(path, found, "Walker-v0", [BODY], stiffness=[FIELD])
+    assert play_out(Player(BODY, FIELD, policy=path))["score"] == expected.score[0]
+    with pytest.raises(ValueError, match="material: got 'reactive'"):
+        Player(BODY, material="reactive", policy=path)
+    path.write_text("{}")
+    with pytest.raises(ValueError, match="cannot be read as gaits"):
+        Player(BODY, policy=path)
 
 
 def test_bad_input_says_so_before_any_thread(sprint):
