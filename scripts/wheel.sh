@@ -4,16 +4,16 @@
 set -eu
 . "$(dirname "$0")/bootstrap.sh"
 . scripts/environment.sh
-folder=$(mktemp -d)
-trap 'rm -rf "$folder"' EXIT
-.venv/bin/python -m build --no-isolation --wheel --outdir "$folder" . > "$folder/build.log" || { cat "$folder/build.log"; exit 1; }
-cp -r examples "$folder"
+wheels=$(mktemp -d)
+trap 'rm -rf "$wheels"' EXIT
+.venv/bin/python -m build --no-isolation --wheel --outdir "$wheels" . > "$wheels/build.log" || { cat "$wheels/build.log"; exit 1; }
+cp -r examples "$wheels"
 for versions in ${*:-lowest newest}; do
-    environment "$folder/$versions" "$versions" "$(echo "$folder"/*.whl)" -r pyproject.toml  # whose lowest uv takes
+    environment "$wheels/$versions" "$versions" "$(echo "$wheels"/*.whl)" -r pyproject.toml  # whose lowest uv takes
     echo "$versions:"
     (
-        cd "$folder/examples"
-        export PATH="$folder/$versions/bin:$PATH" NUMBA_CACHE_DIR="$folder/$versions/numba"
+        cd "$wheels/examples"
+        export PATH="$wheels/$versions/bin:$PATH" NUMBA_CACHE_DIR="$wheels/$versions/numba"
         python -c 'import sys; from importlib.metadata import version as v
 print("Python", sys.version.split()[0], *(f"{name} {v(name)}" for name in sys.argv[1:]), sep=", ")' \
             gymnasium numba numpy pettingzoo tensordict torch torchrl
