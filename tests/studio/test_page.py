@@ -279,6 +279,7 @@ def test_a_policy_is_trained_its_material_improved_and_bodies_evolve(studio):
         assert session.watch.problem is None
 
     visit(studio, act)
+    studio.save()  # which otherwise follows in a moment
     again = Studio(studio.store)
     session = again.open(id)
     assert session.wanted().policy.endswith("policy-0001.pt")
