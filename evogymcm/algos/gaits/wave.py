@@ -62,6 +62,7 @@ class Waves:
         if not np.isfinite(self.values).all():
             raise ValueError("values: got NaN or an infinite number")
         self.material = "invariant" if self.values.shape[1] == sizes[0] else "reactive"
+        self._numbers = np.array([list(row.values()) for row in self.settings])  # (D, 9 or 14), not in every env-step
 
     @staticmethod
     def names(material: str) -> tuple[str, ...]:
@@ -99,8 +100,7 @@ class Waves:
             raise ValueError(f"material: the gait is for the {self.material!r} setting, got {engine.material!r}")
         if engine.num_worlds % len(self.values):
             raise ValueError(f"env: got {engine.num_worlds} worlds, expected a multiple of {len(self.values)} gaits")
-        told = np.array([list(row.values()) for row in self.settings])[:, :, None]  # (D, numbers, 1)
-        told = np.tile(told, (engine.num_worlds // len(self.values), 1, 1)).swapaxes(0, 1)
+        told = np.tile(self._numbers[:, :, None], (engine.num_worlds // len(self.values), 1, 1)).swapaxes(0, 1)
         period, along, down, lead, offset_h, offset_v, swing_h, swing_v, growth = told[: len(_ACTUATION)]
         x, y = _places(engine)
         horizontal = engine.types[:, :, 0] == H_ACT

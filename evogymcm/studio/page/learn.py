@@ -26,7 +26,7 @@ _STATES = {
 }
 _ABOUT = {
     TRAIN: "PPO trains a policy for this body, in this task. The robot above is moved by the newest policy.",
-    MATERIAL: "Searches the voxels' stiffness for a better score under the trained policy (invariant setting).",
+    MATERIAL: "Searches the voxels' stiffness for a better score under what moves the robot (invariant setting).",
     EVOLVE: "Evolves bodies of this grid's size with their policies, each child from its parent's.",
 }
 
