@@ -10,6 +10,8 @@ __getattr__, __dir__, __all__ = door(
         "codesigning": ["CodesignResult", "codesign"],
         "config": ["CodesignConfig", "HalvingSchedule", "SearchConfig"],
         "design": ["Design", "Individual", "mutate_design"],
+        "evolution": ["EvolveResult", "Evolution", "Mover", "evolve"],
+        "evolve_config": ["EvolveConfig"],
         "genetic": ["GeneticAlgorithm"],
         "inner_loop": ["train_designs"],
         "map_elites": ["MapElites", "design_measures"],
