@@ -5,11 +5,9 @@ mostly moves the child, so that one episode tells whether it is better; so a gen
 candidates where a training of a policy for each would allow a few.
 """
 
-import os
 from collections import Counter
-from collections.abc import Callable, Sequence
-from contextlib import nullcontext
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -25,9 +23,8 @@ from evogymcm.algos.codesign.stiffness_proposals import perturb_stiffness
 from evogymcm.algos.gaits.search import FoundGaits
 from evogymcm.algos.gaits.stored import save_gaits
 from evogymcm.algos.gaits.wave import Waves
-from evogymcm.algos.runs.folder import RunFolder, stop_on_interrupt
-from evogymcm.algos.runs.origin import find_origin
-from evogymcm.algos.runs.record import GAIT, RunRecord, best_curve
+from evogymcm.algos.runs.folder import RunFolder
+from evogymcm.algos.runs.record import GAIT
 from evogymcm.body import H_ACT, Body, sample_body
 from evogymcm.envs.core import TaskEngine
 
@@ -48,6 +45,7 @@ class Mover:
         gait: (9 or 14,) numbers of its wave, see `Waves`.
         cells: (2 or 3, rows, columns) of its voxels.
         step: how far its children's gaits are from it.
+        score: of its episode, see `Evaluation`.
         returns: sum of all rewards of its episode.
     """
 
@@ -55,40 +53,21 @@ class Mover:
     gait: NDArray[np.float64]
     cells: NDArray[np.float64]
     step: float
+    score: float = float("nan")
     returns: float = float("nan")
 
     @property
     def fitness(self) -> float:
-        """The score of its episode."""
+        """What its episode was worth."""
         return -np.inf if self.individual.fitness is None else self.individual.fitness
-
-
-@dataclass(frozen=True, eq=False)
-class EvolveResult:
-    """Outcome of an evolution.
-
-    Attributes:
-        best: the best design.
-        waves: its gait, to be used with `play` and `evaluate`.
-        rows: the table, see `Evolution`.
-        env_steps: env-steps simulated in all.
-        played: candidates that were played in all.
-        finished: False if it was stopped.
-    """
-
-    best: Individual | None
-    waves: Waves | None
-    rows: list[dict[str, Any]]
-    env_steps: int
-    played: int
-    finished: bool
 
 
 class Evolution:
     """One evolution, advanced generation by generation.
 
-    Fitness is the score of a whole episode from the exact start. The table gets a row for each candidate that survives
-    its generation, and at the end one for each survivor with its robust score.
+    Fitness is the score of a whole episode from the exact start, less what its work costs where that is asked for. The
+    table gets a row for each candidate that survives its generation, and at the end one for each survivor with its
+    robust score and its work.
 
     Args:
         config: settings.
@@ -142,7 +121,7 @@ class Evolution:
         cells = np.zeros((len(Waves.cell_names(config.material)), *config.shape))
         return [
             Mover(
-                Individual(-1, Design(sample_body(config.shape, self.rng, config.weights))),
+                Individual(-1, Design(sample_body(config.shape, self.rng, self._weights()))),
                 self.rng.standard_normal(size),
                 cells,
                 config.sigma,
@@ -161,7 +140,7 @@ class Evolution:
         step = float(np.clip(parent.step * np.exp(_TURN * rng.standard_normal()), *_STEPS))
         mutant = None
         if rng.random() < config.body_rate:
-            mutant = mutate_design(design, rng, config.mutation_rate, config.attempts, config.weights)
+            mutant = mutate_design(design, rng, config.mutation_rate, config.attempts, self._weights())
         is_mutant = mutant is not None and mutant.body != design.body
         design = mutant or design
         if config.evolves_stiffness and rng.random() < config.stiffness_rate:
@@ -171,20 +150,31 @@ class Evolution:
             cells = cells + step * _noise(rng, cells.shape, _CELLS_CHANGED)
         return Mover(Individual(-1, design, parent.individual.index, self.generation), gait, cells, step)
 
+    def _weights(self) -> tuple[float, ...]:
+        """Draws the frequencies of cells for one body."""
+        empty, *others = self.config.weights
+        return (empty * float(self.config.sparsest ** self.rng.random()), *others)
+
     def _play(self, movers: Sequence[Mover], starts: int = 1) -> Scores:
         """Plays them, and counts what that takes."""
         designs = [mover.individual.design.at(self.config.stiffness) for mover in movers]
-        waves = _waves(movers)
-        scores = score_gaits(_engine_maker(self.config), designs, waves, self.config.seed, starts)
+        is_measured = starts > 1 or self.config.work_weight is not None
+        make_engine = partial(_engine_maker(self.config), work_weight=0.0 if is_measured else None)
+        scores = score_gaits(make_engine, designs, waves_of(movers), self.config.seed, starts)
         self.env_steps += scores.env_steps
         self.played += len(movers)
         return scores
 
     def _scored(self, children: Sequence[Mover], scores: Scores) -> list[Mover]:
-        values = np.where(np.isfinite(scores.score), scores.score, _WORST).tolist()
+        fitness = scores.score
+        if self.config.work_weight is not None:
+            fitness = fitness - scores.work[:, :2] @ np.array(self.config.work_weight)
+        values = np.where(np.isfinite(fitness), fitness, _WORST).tolist()
         return [
-            replace(child, individual=replace(child.individual, fitness=value), returns=returns)
-            for child, value, returns in zip(children, values, scores.returns.tolist(), strict=True)
+            replace(child, individual=replace(child.individual, fitness=value), score=score, returns=returns)
+            for child, value, score, returns in zip(
+                children, values, scores.score.tolist(), scores.returns.tolist(), strict=True
+            )
         ]
 
     def _select(self, children: Sequence[Mover]) -> None:
@@ -221,7 +211,7 @@ class Evolution:
         counted = {name: getattr(self, name) for name in ("generation", "env_steps", "n_designs", "played")}
         movers = [
             {"individual": mover.individual.record(), "gait": mover.gait.tolist(), "cells": mover.cells.tolist()}
-            | {"step": mover.step, "returns": mover.returns}
+            | {name: getattr(mover, name) for name in ("step", "score", "returns")}
             for mover in self.survivors
         ]
         state = {"rng": self.rng.bit_generator.state, "survivors": movers, "is_finished": self.is_finished}
@@ -241,6 +231,7 @@ class Evolution:
                 np.array(told["gait"]),
                 np.array(told["cells"]),
                 told["step"],
+                told["score"],
                 told["returns"],
             )
             for told in saved["survivors"]
@@ -251,83 +242,10 @@ class Evolution:
 
 def save_gait(path: Path, config: EvolveConfig, design: Design, mover: Mover) -> None:
     """Writes a design with its gait as `save_gaits` does."""
-    waves, score = _waves([mover]), np.array([mover.fitness])
+    waves, score = waves_of([mover]), np.array([mover.score])
     found = FoundGaits(waves, score, np.zeros(1, np.int64), [], finished=True)
     stiffness = None if design.stiffness is None else [design.stiffness]
     save_gaits(path, found, config.task, [design.body], stiffness=stiffness, edge_rule=config.edge_rule)
-
-
-def evolve(
-    config: EvolveConfig,
-    *,
-    run: RunFolder | str | os.PathLike[str] | None = None,
-    progress: Callable[[CodesignProgress], None] | None = None,
-    should_stop: Callable[[], bool] | None = None,
-) -> EvolveResult:
-    """Evolves bodies together with their gaits, and returns the best design.
-
-    The same settings and seed give the same result, whether or not the run was stopped and resumed in between.
-
-    Args:
-        config: settings of the run.
-        run: folder for the run's record, its table, the best gait (`gait.json`) and the state. A run that exists at a
-            path is resumed, and so is a `RunFolder` that was opened with `resume`. None keeps everything in memory.
-        progress: called after every generation.
-        should_stop: called as often; the run stops if it returns True. By default Ctrl-C stops it.
-
-    Raises:
-        ValueError: A run with these settings cannot start: there is no such task, or a body that fills the shape does
-            not fit into its world. Nothing has been simulated then.
-    """
-    if run is None:
-        return _to_the_end(Evolution(config), progress, should_stop)
-    settings = asdict(config)
-    if not isinstance(run, RunFolder):
-        check_evolution(config)  # before there is a folder
-        run = RunFolder(run, settings, resume=True)
-    run.check_settings(settings)
-    with run.lock():
-        state = Evolution(config, run)
-        stiffness = None if config.material == "reactive" or config.evolves_stiffness else config.stiffness
-        record = RunRecord(
-            "codesign",
-            config.task,
-            label=config.material if stiffness is None else f"stiffness {stiffness:g}",
-            material=config.material,
-            stiffness=stiffness,
-            edge_rule=config.edge_rule,
-            seed=config.seed,
-            origin=find_origin(),
-        )
-        record.write(run)
-        result = _to_the_end(state, progress, should_stop)
-        best = next((row for row in reversed(result.rows) if result.best and row["index"] == result.best.index), None)
-        replace(
-            record,
-            finished=result.finished,
-            env_steps=result.env_steps,
-            curve=best_curve(result.rows),
-            best=best,
-            n_designs=state.n_designs,
-        ).write(run)
-    return result
-
-
-def _to_the_end(
-    state: Evolution,
-    progress: Callable[[CodesignProgress], None] | None,
-    should_stop: Callable[[], bool] | None,
-) -> EvolveResult:
-    """Plays all generations that are left, unless it is stopped."""
-    with stop_on_interrupt() if should_stop is None else nullcontext(should_stop) as is_stopped:
-        while not state.is_finished and not is_stopped():
-            told = state.advance()
-            if progress:
-                progress(told)
-    best = state.best
-    waves = None if best is None else _waves([best])
-    individual = None if best is None else best.individual
-    return EvolveResult(individual, waves, state.rows, state.env_steps, state.played, state.is_finished)
 
 
 def _noise(rng: np.random.Generator, shape: tuple[int, ...], share: float) -> NDArray[np.float64]:
@@ -335,7 +253,8 @@ def _noise(rng: np.random.Generator, shape: tuple[int, ...], share: float) -> ND
     return np.where(rng.random(shape) < share, rng.standard_normal(shape), 0.0)
 
 
-def _waves(movers: Sequence[Mover]) -> Waves:
+def waves_of(movers: Sequence[Mover]) -> Waves:
+    """Returns their gaits."""
     return Waves([mover.gait for mover in movers], [mover.cells for mover in movers])
 
 

@@ -2,7 +2,16 @@
 
 from dataclasses import dataclass
 
-from evogymcm._settings import EdgeRule, Material, check_count, check_fields, check_numbers, check_pair
+from evogymcm._settings import (
+    EdgeRule,
+    Material,
+    WorkWeight,
+    check_count,
+    check_fields,
+    check_numbers,
+    check_pair,
+    check_work_weight,
+)
 from evogymcm.body import SAMPLE_WEIGHTS, STIFFNESS_HIGH, STIFFNESS_LOW, check_weights
 
 _BOUNDS: dict[str, dict[str, float]] = {  # counts without any: from 1
@@ -13,6 +22,7 @@ _BOUNDS: dict[str, dict[str, float]] = {  # counts without any: from 1
     "gait_rate": {"above": 0, "high": 1},
     "stiffness_rate": {"above": 0, "high": 1},
     "mutation_rate": {"above": 0, "high": 1},
+    "sparsest": {"low": 1},
     "sigma": {"above": 0},
     "seed": {"low": 0},
 }
@@ -29,6 +39,8 @@ class EvolveConfig:
         evolves_stiffness: invariant setting only: whether each design has a stiffness field of its own, which changes
             from parent to child as in a material search.
         edge_rule: how stiffness acts on shared edges.
+        work_weight: what a unit of supplied work costs in fitness: a number, or one for work of actuation and one for
+            work of stiffness. None: fitness is the score. The last survivors' work is measured in any case.
         shape: rows and columns of the bodies.
         max_env_steps: the run ends with the generation that reaches as many.
         first: random bodies with random gaits in the first generation.
@@ -43,6 +55,8 @@ class EvolveConfig:
         attempts: attempts at a valid mutant; without success the body stays.
         weights: relative frequencies of empty, rigid, soft, horizontal and vertical cells in random bodies and in cells
             drawn anew (EvoGym's by default).
+        sparsest: factor, at most, on the frequency of empty cells; each random body and each mutant draws its own
+            between 1 and this. EvoGym's random bodies fill their grid, and some tasks need small ones.
         sigma: first step of gaits, where 1 is the spread of random ones; it evolves with them.
         eval_starts: starts, 1e-6 metres apart, from which the last survivors are played once more, see `evaluate`; 1
             for none but the exact one.
@@ -58,6 +72,7 @@ class EvolveConfig:
     stiffness: float = 1.0
     evolves_stiffness: bool = False
     edge_rule: EdgeRule = "mean_factor"
+    work_weight: WorkWeight = None
     shape: tuple[int, int] = (5, 5)
     max_env_steps: int = 1_000_000
     first: int = 256
@@ -70,6 +85,7 @@ class EvolveConfig:
     mutation_rate: float = 0.1
     attempts: int = 50
     weights: tuple[float, ...] = SAMPLE_WEIGHTS
+    sparsest: float = 4.0
     sigma: float = 0.3
     eval_starts: int = 8
     seed: int = 0
@@ -79,6 +95,7 @@ class EvolveConfig:
         check_fields(self, _BOUNDS)
         shape = tuple(check_count("shape", side) for side in check_pair("shape", self.shape))
         object.__setattr__(self, "shape", shape)
+        object.__setattr__(self, "work_weight", check_work_weight(self.work_weight))
         object.__setattr__(self, "weights", check_weights(check_numbers("weights", self.weights)))
         if not isinstance(self.task, str):
             raise ValueError(f"task: got {self.task!r}, expected the id of a task")
