@@ -7,9 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.experiments import figures
+from benchmarks.experiments import figures, observations
 from benchmarks.experiments.experiment import Comparison, Record, Tell
-from benchmarks.experiments.observations import anticipation_table, design_tables, searched_designs
 from benchmarks.experiments.paper import PAPER, PUBLISHED, PUBLISHED_BODIES
 from benchmarks.experiments.signals import analyse_run
 from benchmarks.experiments.tables import joined, table
@@ -113,8 +112,7 @@ class EvolvedRobots(Comparison):
                     "ends": [float(run["curve"][-1][1]) for run in group],
                     "end_steps": float(np.mean([run["curve"][-1][0] for run in group])),
                     "returns": [run["best_return"] for run in group if run.get("best_return") is not None],
-                    "designs": [{"seed": run["seed"], **run["best"]} for run in group],
-                    "signals": [run["signals"] for run in group if run.get("signals")],
+                    **observations.observed(group),
                 }
             )
         return rows
@@ -138,17 +136,13 @@ class EvolvedRobots(Comparison):
             if is_compared:
                 cells += [f"{np.mean(row['returns']):.2f}", f"{PUBLISHED[row['task']]:.2f}"]
             lines.append(cells + [""] * (len(lines[0]) - len(cells)))
-        played = [(row["task"], signals) for row in rows for signals in row["signals"]]
-        parts = [table(lines), *design_tables(rows), *([anticipation_table(played)] if played else [])]
-        return "\n\n".join(parts)
+        return "\n\n".join([table(lines), *observations.tables(rows)])
 
     def plot(self, runs: Sequence[Record], path: Path) -> None:
         """Draws the best score against env-steps, PATH-designs the best designs, PATH-stiffness their mean fields."""
         figures.best_curves(runs, self.tasks, self.arms, path)
         figures.designs(runs, path.with_name(f"{path.stem}-designs{path.suffix}"))
-        bests = {(task, arm): [run["best"] for run in group if run["best"]] for task, arm, group in self.groups(runs)}
-        searched = {key: searched_designs(records) for key, records in bests.items()}
-        figures.mean_fields(searched, path.with_name(f"{path.stem}-stiffness{path.suffix}"))
+        observations.plot(self.groups(runs), path)
 
 
 def _sizes(arms: tuple[str, ...], quick: str, small: tuple[str, ...]) -> Mapping[str, EvolvedRobots]:

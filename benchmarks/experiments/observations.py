@@ -1,10 +1,12 @@
 """The paper's observations on bodies, stiffness fields and gaits, as tables of the best designs and policies."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from math import exp
+from pathlib import Path
 from typing import Any, get_args
 
+from benchmarks.experiments import figures
 from benchmarks.experiments.experiment import Record
 from benchmarks.experiments.tables import table, with_interval
 from evogymcm.algos.analysis import (
@@ -34,6 +36,24 @@ _NOTE = (
     "Of the best design of each whole run. Differences are of pairs of equal seeds. P: how often a body of the other"
     f' arm measures more than one of arm "{_CONTROL}".'
 )
+
+
+def observed(runs: Sequence[Record]) -> Record:
+    """Returns what the tables need of the runs of a task and arm: the best designs, and the signals of gaits."""
+    designs = [{"seed": run["seed"], **run["best"]} for run in runs if run["best"]]
+    return {"designs": designs, "signals": [run["signals"] for run in runs if run.get("signals")]}
+
+
+def tables(rows: Sequence[Record]) -> list[str]:
+    """Returns all tables of rows, one a task and arm, with their `task`, their `arm` and what `observed` returns."""
+    played = [(row["task"], signals) for row in rows for signals in row["signals"]]
+    return [*design_tables(rows), *([anticipation_table(played)] if played else [])]
+
+
+def plot(groups: Iterable[tuple[str, str, Sequence[Record]]], path: Path) -> None:
+    """Draws, as PATH-stiffness, the mean stiffness fields of task, arm and runs, where they were searched."""
+    fields = {(task, arm): searched_designs(observed(runs)["designs"]) for task, arm, runs in groups}
+    figures.mean_fields(fields, path.with_name(f"{path.stem}-stiffness{path.suffix}"))
 
 
 def searched_designs(records: Sequence[Record]) -> list[Design]:
