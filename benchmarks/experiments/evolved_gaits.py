@@ -7,9 +7,10 @@ from pathlib import Path
 from statistics import mean, median
 from typing import Any
 
-from benchmarks.experiments import figures
+from benchmarks.experiments import figures, observations
 from benchmarks.experiments.experiment import Comparison, Record, Tell
 from benchmarks.experiments.paper import PAPER, PUBLISHED
+from benchmarks.experiments.signals import analyse_run
 from benchmarks.experiments.tables import joined, table, with_interval
 from evogymcm.algos.analysis import coverage, difference, improvement, interquartile_mean, normalise, summarise
 from evogymcm.algos.codesign import EvolveConfig, evolve
@@ -44,6 +45,8 @@ class EvolveJob:
         record = RunRecord.read(run.path).as_dict()
         best = accumulate((row["return"] for row in result.rows), max)
         record["returns"] = [[row["env_steps"], value] for row, value in zip(result.rows, best, strict=True)]
+        if result.finished and self.config.material == "reactive":
+            record["signals"] = analyse_run(run.path).summary()
         return record | {"played": result.played}
 
 
@@ -102,6 +105,7 @@ class EvolvedGaits(Comparison):
                     "steps_to_published": median(known) if 2 * len(known) > len(group) else None,
                     "played": mean(run["played"] for run in group),
                     "seconds": mean(run["seconds"] or 0.0 for run in group),
+                    **observations.observed(group),
                 }
             )
         return rows
@@ -114,12 +118,13 @@ class EvolvedGaits(Comparison):
             if arm != CONTROL and pairs:
                 parts.append(table(_gain_lines(arm, pairs)))
         counts = [len(row["scores"]) for row in rows]
-        return "\n\n".join([*parts, _note(counts)]) if rows else ""
+        return "\n\n".join([*parts, _note(counts), *observations.tables(rows)]) if rows else ""
 
     def plot(self, runs: Sequence[Record], path: Path) -> None:
-        """Draws the best score against env-steps, and the best designs beside it as PATH-designs."""
+        """Draws the best score against env-steps, PATH-designs the best designs, PATH-stiffness their mean fields."""
         figures.best_curves(runs, self.tasks, self.arms, path)
         figures.designs(runs, path.with_name(f"{path.stem}-designs{path.suffix}"))
+        observations.plot(self.groups(runs), path)
 
 
 def _first(curve: Sequence[Sequence[float]], level: float) -> float | None:
