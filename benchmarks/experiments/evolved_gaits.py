@@ -100,7 +100,7 @@ class EvolvedGaits(Comparison):
                     "env_steps": mean(run["env_steps"] for run in group),
                     "scores": [run["best"]["fitness"] for run in group],
                     "robust": [run["best"].get("robust_score") for run in group],
-                    "returns": [run["returns"][-1][1] for run in group],
+                    "returns": [run["best"]["return"] for run in group],
                     "reached": len(known),
                     "steps_to_published": median(known) if 2 * len(known) > len(group) else None,
                     "played": mean(run["played"] for run in group),
@@ -180,10 +180,11 @@ def _gain_lines(arm: str, pairs: Mapping[str, tuple[Record, Record]]) -> list[Se
 def _note(counts: Sequence[int]) -> str:
     """How the numbers are to be read."""
     note = (
-        "Candidates: how many were played, most for one episode. Score: of the best design, summed without an episode's"
-        " last reward, from the exact start, on which it was selected; robust score: its mean over starts a hair apart."
-        " Return: the best sum of all rewards, beside the best of published runs of EvoGym's genetic algorithm (100"
-        " bodies trained), how many runs reach that, and the median of env-steps until they do. P: how often a run of"
+        "Candidates: how many were played, most for one episode. The best design is the one of the last"
+        " survivors with the highest robust score, the mean over starts a hair apart. Score: of its episode from the"
+        " exact start, without the last reward; return: the sum of all rewards, beside the best of published runs of"
+        " EvoGym's genetic algorithm (100 bodies trained), how many runs had a survivor that reaches it, and the median"
+        " of env-steps until they had. P: how often a run of"
         f" the arm beats one of {CONTROL}. Interquartile means: scores in units of the published return."
     )
     seeds = min(counts)

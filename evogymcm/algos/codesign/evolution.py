@@ -96,7 +96,13 @@ class Evolution:
 
     @property
     def best(self) -> Mover | None:
-        """The best one so far, None before there is one."""
+        """The best one so far, None before there is one; at the end the survivor with the highest robust score.
+
+        The fittest is often fragile: chosen by one episode, it may owe its lead to a contact that a hair would undo.
+        """
+        robust = {row["index"]: row["robust_score"] for row in self.rows if row["event"] == "evaluate"}
+        if robust:
+            return max(self.survivors, key=lambda mover: robust[mover.individual.index])
         return self.survivors[0] if self.survivors else None
 
     def advance(self) -> CodesignProgress:
@@ -113,8 +119,7 @@ class Evolution:
             self.config.eval_starts == 1 and self.env_steps >= self.config.max_env_steps
         )
         self._save()
-        best = None if self.best is None else self.best.fitness
-        return CodesignProgress(self.generation, phase, self.env_steps, self.n_designs, best)
+        return CodesignProgress(self.generation, phase, self.env_steps, self.n_designs, self.survivors[0].fitness)
 
     def _random(self) -> list[Mover]:
         config, size = self.config, Waves.size(self.config.material)
@@ -196,12 +201,12 @@ class Evolution:
 
     def _record(self, event: str, movers: Sequence[Mover], scores: Scores | None = None) -> None:
         """Adds a row for each."""
-        best = self.best
+        best = self.survivors[0].fitness
         for i, mover in enumerate(movers):
             row = mover.individual.record() | {"event": event, "generation_now": self.generation}
             row |= {"env_steps": self.env_steps, "return": mover.returns, "gait": mover.gait.tolist()}
             row |= {} if scores is None else scores.row(i)
-            self.rows.append(row | {"best": None if best is None else best.fitness})
+            self.rows.append(row | {"best": best})
             if self.run:
                 self.run.append(self.rows[-1])
 
@@ -216,7 +221,11 @@ class Evolution:
         ]
         state = {"rng": self.rng.bit_generator.state, "survivors": movers, "is_finished": self.is_finished}
         self.run.save(_STATE, counted | state | {"rows": len(self.rows)})
-        if best := self.best:
+        self.store_best()
+
+    def store_best(self) -> None:
+        """Writes the best gait into the run's folder."""
+        if self.run and (best := self.best):
             design = best.individual.design.at(self.config.stiffness)
             save_gait(self.run.path / GAIT, self.config, design, best)
 

@@ -21,7 +21,7 @@ class EvolveResult:
     """Outcome of an evolution.
 
     Attributes:
-        best: the best design.
+        best: the best design: where it is finished, of the last survivors the one with the highest robust score.
         waves: its gait, to be used with `play` and `evaluate`.
         rows: the table, see `Evolution`.
         env_steps: env-steps simulated in all.
@@ -81,6 +81,7 @@ def evolve(
         )
         record.write(run)
         result = _to_the_end(state, progress, should_stop)
+        state.store_best()
         best = next((row for row in reversed(result.rows) if result.best and row["index"] == result.best.index), None)
         replace(
             record,

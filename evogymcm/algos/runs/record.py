@@ -155,9 +155,10 @@ class RunRecord:
         return designs or ({self.best.get("index", 0): self.best} if self.best else {})
 
     def ranked(self) -> list[Row]:
-        """Returns the rows of the designs that have been scored, best first."""
+        """Returns the rows of the designs that have been scored: the best first, the others by their fitness."""
         told = [row for row in self.designs.values() if row.get("fitness") is not None]
-        return sorted(told, key=lambda row: -row["fitness"])
+        best = None if self.best is None else self.best.get("index")
+        return sorted(told, key=lambda row: (row.get("index") != best, -row["fitness"]))
 
     def design(self, row: Row) -> tuple[Body, np.ndarray]:
         """Returns the body of a design's row, and the stiffness (rows, cols) with which it was simulated."""
@@ -214,7 +215,9 @@ def _record(name: str, told: Row, config: Row, rows: list[dict[str, Any]], files
         path=files.path if files else None,
     )
     count = told.get("n_designs") or (told.get("bodies") if kind == "codesign" else 0)
-    best = record.ranked()[0] if kind == "codesign" and record.ranked() else record.best
+    if not finished or "gait" not in (record.best or {}):  # an evolution's best is not the fittest
+        record = replace(record, best=None)
+    best = record.ranked()[0] if kind == "codesign" and record.ranked() else told.get("best")
     return replace(record, n_designs=max(len(record.designs), int(count or 0)), best=best)
 
 

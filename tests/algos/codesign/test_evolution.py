@@ -43,7 +43,12 @@ def test_a_stopped_run_ends_like_one_that_was_not(tmp_path, changes):
     record = RunRecord.read(tmp_path / "run")
     assert record.finished
     assert record.env_steps == whole.env_steps
-    assert record.best["fitness"] == whole.best.fitness == max(score for _, score in record.curve)
+    robust = {row["index"]: row["robust_score"] for row in whole.rows if row["event"] == "evaluate"}
+    assert len(robust) == config.survivors
+    assert whole.best.index == max(robust, key=robust.__getitem__)
+    assert record.ranked()[0] == record.best
+    assert record.best["index"] == whole.best.index
+    assert record.best["fitness"] <= max(score for _, score in record.curve)
 
 
 @pytest.mark.parametrize("changes", [{"material": "reactive"}, {"evolves_stiffness": True}, {"stiffness": 2.0}])
@@ -55,8 +60,9 @@ def test_what_is_stored_scores_as_it_says(tmp_path, changes):
     played = evaluate(saved.waves, saved.make_engine(num_threads=1))
     assert played.score[0] == result.best.fitness
     rows = [row for row in result.rows if row["event"] == "evaluate"]
-    assert rows[0]["score"] == result.best.fitness
-    assert {"robust_score", "spread"} <= rows[0].keys()
+    row = next(row for row in rows if row["index"] == result.best.index)
+    assert row["score"] == result.best.fitness
+    assert {"robust_score", "spread", "stiffness_work"} <= row.keys()
     if "stiffness" in changes:
         assert (saved.stiffness[0][result.best.design.body.occupancy] == 2.0).all()
 
