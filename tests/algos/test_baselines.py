@@ -1,7 +1,10 @@
 """Universal policies of the package: those that it has, how a run becomes one, and what begins with one."""
 
 import json
+import re
 import shlex
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -20,6 +23,7 @@ from evogymcm.algos.learning.training import make_trainer
 from evogymcm.commands.train import _config
 from evogymcm.envs import SoftRobotEnv
 
+ROOT = Path(__file__).resolve().parents[2]
 SHIPPED = set()  # (task, material) of all that the package has
 BODY, OTHER = "HHH/V.V", "VHHH/S..R/V..V"
 TINY = PPOConfig(64, 4, 8, epochs=1, minibatch=16, eval_interval=0)
@@ -43,6 +47,15 @@ def test_the_package_has_the_baselines_that_it_should_and_no_other_files():
     assert set(cm.baselines()) == SHIPPED
     files = {f"{task}-{material}{suffix}" for task, material in SHIPPED for suffix in (".json", ".npz")}
     assert {path.name for path in FOLDER.glob("*")} == files
+
+
+def test_the_page_shows_those_that_there_are():
+    done = subprocess.run(
+        [sys.executable, ROOT / "docs" / "baseline_table.py"], check=True, capture_output=True, text=True
+    )
+    page = (ROOT / "docs" / "baselines.md").read_text(encoding="utf-8")
+    shown = re.search(r"<!-- baselines: .*? -->(.*?)<!-- end of baselines -->", page, re.DOTALL)
+    assert shown[1].strip() == done.stdout.strip(), "run: python docs/baseline_table.py --write"
 
 
 @pytest.mark.parametrize(("task", "material"), sorted(cm.baselines()))
