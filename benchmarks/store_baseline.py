@@ -27,6 +27,7 @@ from evogymcm._files import write_atomic
 from evogymcm.algos import PPOConfig, RunFolder, RunRecord, TrainConfig, evaluate, load_policy
 from evogymcm.algos.baselines import FOLDER
 from evogymcm.algos.learning.bodies import N_HELD_OUT, held_out_bodies
+from evogymcm.algos.learning.threads import limited_threads
 from evogymcm.algos.runs.older import present_settings
 
 LARGEST = 200_000  # bytes of weights
@@ -78,7 +79,8 @@ def store(run: Path, starts: int = 8, folder: Path = FOLDER) -> Path:
     fields = None if config.stiffness is None else [np.where(body.occupancy, config.stiffness, 1.0) for body in bodies]
     env = saved.make_env(starts * N_HELD_OUT, bodies=bodies, stiffness=fields)
     try:
-        result = evaluate(saved.module(env), env, starts)
+        with limited_threads(1):  # idle threads of torch would take time from those of the simulator
+            result = evaluate(saved.module(env), env, starts)
     finally:
         env.close(raise_if_closed=False)
     record = {
