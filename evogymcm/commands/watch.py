@@ -44,9 +44,9 @@ class Options:
         material: whether the policy sets stiffness too ("reactive"), or stiffness belongs to the body.
         stiffness: invariant setting only: a number, or numbers in rows like the body's (2,2,2/0.5,1,0.5); one for all
             bodies or one for each.
-        policy: folder of a training run (its last policy) or of co-design (its best design), or one of their files,
-            such as policy-0003.pt (design 3); or gaits (.json) of `evogymcm gait`; or "baseline", the package's policy
-            for any body; or "sine", a wave.
+        policy: folder of a training run (its last policy), of co-design or of an evolution (its best design), or one of
+            their files, such as policy-0003.pt (design 3); or gaits (.json) of `evogymcm gait`; or "baseline", the
+            package's policy for any body; or "sine", a wave.
         out: file to write: .mp4, .gif, or .png (the last step).
         steps: env-steps at most.
         every: draw every Nth env-step.
@@ -108,7 +108,9 @@ def _worlds(options: Options) -> "tuple[TaskEngine | SoftRobotEnv, TensorDictMod
     policy = _policy(options)
     if policy == SINE:
         return _with_sine(options)
-    if policy != BASELINE and Path(policy).suffix == ".json":
+    from evogymcm.algos.gaits.stored import gaits_in
+
+    if policy != BASELINE and gaits_in(Path(policy)):
         return _with_gaits(options, Path(policy))
     from evogymcm.algos.runs import load_policy
     from evogymcm.body import as_body

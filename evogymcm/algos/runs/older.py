@@ -21,7 +21,7 @@ def of_arm(arm: str, prescribed: Any, search: Any) -> dict[str, Any]:
 def present_settings(config: Mapping[str, Any]) -> Mapping[str, Any]:
     """Returns the saved settings of a run as a run of today has them."""
     config = _with_starts(config)
-    if config.keys() & {"bodies", "budget"}:  # of training and of co-design
+    if "budget" in config or isinstance(config.get("bodies"), list):  # co-design and training
         config = {"initial": "fresh", **config}
     if not {"arm", "prescribed", "search"} <= config.keys():
         return config

@@ -20,6 +20,7 @@ Kind = Literal["train", "codesign"]
 KINDS: tuple[Kind, ...] = get_args(Kind)
 
 NOT_RECORDED = "not recorded"
+GAIT = "gait.json"  # of the best design of an evolution
 _RESULT, _SIGNALS, _STATE, _FINAL = "result.json", "signals.json", "codesign", "final.pt"
 _IN_OTHER_FILES = ("config", "rows", "signals", "path")
 _LABELS = ("variant", "label", "arm")  # by which experiments compare
@@ -27,6 +28,7 @@ _EVALUATION = (  # see `Evaluation.summary`
     *("score", "return", "episode_length", "goal_rate", "unstable", "steps_to_goal", "fraction_of_ceiling"),
     *("robust_score", "spread", *WORK),
 )
+_EVOLUTION = "evolution"
 _FIRST_PHASES = ("screen", "train")  # of a generation of co-design
 _MATERIALS = {  # of arms, as earlier versions called comparisons of settings
     "reactive": "reactive",
@@ -246,6 +248,8 @@ def _stiffness(told: Row, config: Row, kind: Kind) -> Any:
 def _is_finished(files: RunFiles) -> bool:
     """Whether co-design has used a budget and done all phases of its last generation, by the state that it saved."""
     try:
+        if (evolved := files.load(_EVOLUTION)) is not None:
+            return bool(evolved["is_finished"])
         state = files.load(_STATE)
         if state is None or state["phase"] not in _FIRST_PHASES:  # None: killed in its first phase
             return False
