@@ -3,6 +3,7 @@
 Importing the package registers the tasks with Gymnasium, and imports neither torch nor numba.
 """
 
+from evogymcm.algos.baselines import baseline, baselines
 from evogymcm.body import (
     Body,
     as_body,
@@ -19,6 +20,8 @@ __version__ = "0.2.0"
 __all__ = [
     "Body",
     "as_body",
+    "baseline",
+    "baselines",
     "check_stiffness",
     "mutate_body",
     "register_task",

@@ -43,3 +43,17 @@ def sprint(tmp_path, monkeypatch):
     task = Sprint("Sprint-v0", world="Walker-v0", spawn=(1, 1), time_limit=12, observes=observes)
     with registered(task) as name:
         yield name
+
+
+@pytest.fixture
+def sprint_baseline(sprint, tmp_path, monkeypatch):
+    """The folder of a run of that task on random bodies, whose last policy is the package's only baseline."""
+    from benchmarks.store_baseline import store
+    from evogymcm.algos import PPOConfig, TrainConfig, train
+    from evogymcm.algos import baselines as module
+
+    ppo = PPOConfig(64, 4, 8, epochs=1, minibatch=16, hidden=8, context="attention", eval_worlds=2, seed=3)
+    train(TrainConfig(sprint, random_bodies=(3, 2), stiffness=0.5, ppo=ppo), run=tmp_path / "universal", num_threads=1)
+    monkeypatch.setattr(module, "FOLDER", tmp_path / "package")
+    store(tmp_path / "universal", 2, module.FOLDER)
+    return tmp_path / "universal"

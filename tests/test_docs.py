@@ -82,6 +82,7 @@ def test_code_runs_and_prints_what_is_shown(page, tmp_path, monkeypatch):
 
 def test_pages_with_code_are_these():
     expected = {
+        "baselines",
         "codesign",
         "concepts",
         "custom-tasks",

@@ -23,6 +23,7 @@ ARMS: Mapping[str, Mapping[str, Any]] = {  # -> what differs from the settings o
 }
 _BASE = CodesignConfig(
     material="invariant",
+    initial="fresh",  # as in the paper
     search=SearchConfig(),
     population=6,
     budget=1000,

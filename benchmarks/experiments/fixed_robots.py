@@ -59,7 +59,8 @@ class FixedRobots(Comparison):
         """Returns the settings of a run on the paper's robot of the task, with changes of those of PPO."""
         if self.tuned and task in TUNED:
             changes = {**TUNED[task].ppo, **changes}
-        return TrainConfig(task, (PAPER[task].robot,), material, ppo=replace(self.ppo, seed=seed, **changes))
+        ppo = replace(self.ppo, seed=seed, **changes)
+        return TrainConfig(task, (PAPER[task].robot,), material, ppo=ppo, initial="fresh")  # as in the paper
 
     def job(self, task: str, arm: str, seed: int) -> TrainingJob:
         """Returns one run."""

@@ -99,16 +99,17 @@ def parse_command(command: str) -> Options[Any]:
 
 def command_of(name: str, experiment: Experiment) -> str:
     """Returns the shortest command that asks for these settings of an experiment."""
-    given = dict(_flat(experiment))
     commands = []
     for size, default in EXPERIMENTS[name][1].items():
         words = [name, *([] if size == SIZES[0] else ["--size", size])]
-        known = dict(_flat(default))
-        for path, value in given.items():
-            if known.get(path, ...) != value:
-                words += _option(path, value)
-        commands.append(words)
+        commands.append(words + words_of(experiment, default))
     return f"{_PROGRAM} {shlex.join(min(commands, key=len))}"
+
+
+def words_of(settings: Any, default: Any) -> list[str]:
+    """Returns the options of a command line whose settings would be `default` without them."""
+    known = dict(_flat(default))
+    return [word for path, value in _flat(settings) if known.get(path, ...) != value for word in _option(path, value)]
 
 
 def _flat(settings: Any, prefix: str = "") -> Iterator[tuple[str, Any]]:

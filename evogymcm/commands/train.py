@@ -10,7 +10,7 @@ import tyro
 from tyro.conf import arg
 
 from evogymcm._settings import EdgeRule, Material, WorkWeight
-from evogymcm.algos.learning.config import PPOConfig, TrainConfig
+from evogymcm.algos.learning.config import INITIAL, PPOConfig, TrainConfig
 from evogymcm.commands._options import (
     INTERRUPTED,
     Bar,
@@ -37,6 +37,7 @@ examples:
   evogymcm train Walker-v0 --body HHH/V.V --stiffness 2,2,2/0.5,1,0.5
   evogymcm train Walker-v0 --body HHH/V.V --material reactive
   evogymcm train Walker-v0 --random-bodies 5 5 --hidden 64
+  evogymcm train Walker-v0 --body HHH/V.V --initial baseline --total-steps 50000
   evogymcm train --world terrain.json --body robot.npz
   evogymcm train Walker-v0 --body Walk_Bot --run runs/first --logger csv
   evogymcm train Walker-v0 --body Walk_Bot --run runs/first --logger csv --resume"""
@@ -58,6 +59,8 @@ class Options:
         edge_rule: how stiffness acts on shared edges.
         work_weight: what a unit of supplied work costs in reward, or one number for actuation and one for stiffness; 0
             has it measured.
+        initial: what the weights are at first: "fresh", the package's "baseline", "auto" (the baseline where there is
+            one), or the policy of a run. Exploration begins with `initial_std` in any case.
         run: folder of the run.
         resume: continue the run in the folder.
         overwrite: replace the run in the folder.
@@ -76,6 +79,7 @@ class Options:
     stiffness: Annotated[tuple[str, ...], arg(metavar="FIELD", help_behavior_hint="(default: 1)")] = ()
     edge_rule: EdgeRule = "mean_factor"
     work_weight: WorkWeight = None
+    initial: Annotated[str, arg(metavar="fresh|baseline|auto|RUN")] = INITIAL
     run: Annotated[Path | None, arg(metavar="FOLDER", help_behavior_hint="(default: runs/TASK-MATERIAL-seedSEED)")] = (
         None
     )
@@ -120,6 +124,7 @@ def _config(options: Options) -> TrainConfig:
         random_bodies=options.random_bodies,
         work_weight=options.work_weight,
         ppo=options.ppo,
+        initial=options.initial,
     ).resolved()
     is_stream = config.random_bodies is not None
     fields = read_stiffness(options.stiffness, ["H"] if is_stream else config.bodies)

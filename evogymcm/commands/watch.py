@@ -9,7 +9,9 @@ import tyro
 from tyro.conf import arg
 
 from evogymcm._settings import Material, check_count
+from evogymcm.algos.baselines import has_baseline, load_baseline
 from evogymcm.algos.learning.bodies import default_body
+from evogymcm.algos.learning.config import BASELINE
 from evogymcm.commands._options import checking_arguments, choose_task, read_stiffness
 
 if TYPE_CHECKING:  # torch and numba are loaded when the command runs, not for its help
@@ -19,10 +21,12 @@ if TYPE_CHECKING:  # torch and numba are loaded when the command runs, not for i
     from evogymcm.algos.learning.playing import Gait
     from evogymcm.envs import SoftRobotEnv, TaskEngine
 
+SINE = "sine"
 DESCRIPTION = """Shows an episode, in a window or as a video, and prints the scores.
 
 examples:
-  evogymcm watch Walker-v0 --body Walk_Bot
+  evogymcm watch Walker-v0 --body Walk_Bot                 # moved by the package's baseline, where there is one
+  evogymcm watch Walker-v0 --body Walk_Bot --policy sine
   evogymcm watch Walker-v0 --body HHH/V.V --stiffness 2,2,2/0.5,1,0.5 --view stiffness
   evogymcm watch --world terrain.json --body robot.npz
   evogymcm watch --policy runs/first --out walk.mp4
@@ -41,7 +45,8 @@ class Options:
         stiffness: invariant setting only: a number, or numbers in rows like the body's (2,2,2/0.5,1,0.5); one for all
             bodies or one for each.
         policy: folder of a training run (its last policy), of co-design or of an evolution (its best design), or one of
-            their files, such as policy-0003.pt (design 3); or gaits (.json) of `evogymcm gait`.
+            their files, such as policy-0003.pt (design 3); or gaits (.json) of `evogymcm gait`; or "baseline", the
+            package's policy for any body; or "sine", a wave.
         out: file to write: .mp4, .gif, or .png (the last step).
         steps: env-steps at most.
         every: draw every Nth env-step.
@@ -59,7 +64,9 @@ class Options:
     stiffness: Annotated[
         tuple[str, ...], arg(metavar="FIELD", help_behavior_hint="(default: the policy's for its own bodies, or 1)")
     ] = ()
-    policy: Annotated[Path | None, arg(metavar="RUN", help_behavior_hint="(default: a sine wave)")] = None
+    policy: Annotated[
+        Path | None, arg(metavar="RUN|baseline|sine", help_behavior_hint="(default: baseline, or sine without one)")
+    ] = None
     out: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="(default: TASK.mp4 without a display)")] = None
     steps: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: an episode)")] = None
     every: Annotated[int, arg(metavar="N")] = 1
@@ -76,12 +83,13 @@ def run(options: Options, arguments: Sequence[str]) -> int:
                 check_count(name, getattr(options, name))
         from evogymcm.envs.render.renderer import Renderer
 
-        env, policy = _worlds(options)
+        env, policy, name = _worlds(options)
         renderer = Renderer(env, options.width, options.height, options.view)
         engine = renderer.engine
         out = _out(options.out, engine.task.id)
     from evogymcm.algos.learning import play
 
+    print(f"moved by {name}", flush=True)
     engine.set_seed(0)  # the same episode whenever it is watched
     steps = options.steps or engine.task.time_limit
     pictures = (
@@ -95,33 +103,54 @@ def run(options: Options, arguments: Sequence[str]) -> int:
     return 0
 
 
-def _worlds(options: Options) -> "tuple[TaskEngine | SoftRobotEnv, TensorDictModuleBase | Gait]":
-    """Returns the worlds and what drives them."""
+def _worlds(options: Options) -> "tuple[TaskEngine | SoftRobotEnv, TensorDictModuleBase | Gait, str]":
+    """Returns the worlds, what drives them, and what that is called."""
+    policy = _policy(options)
+    if policy == SINE:
+        return _with_sine(options)
+    from evogymcm.algos.gaits.stored import gaits_in
+
+    if policy != BASELINE and gaits_in(Path(policy)):
+        return _with_gaits(options, Path(policy))
+    from evogymcm.algos.runs import load_policy
+    from evogymcm.body import as_body
+
+    other = choose_task(options.task, options.world) if options.task or options.world else None
+    bodies = [as_body(body) for body in options.body]
+    if policy == BASELINE:
+        task = choose_task(options.task, options.world)
+        saved = load_baseline(task, options.material or "invariant")
+        bodies = bodies or [as_body(default_body(task))]
+    else:
+        saved = load_policy(policy)
+    if options.material not in (None, saved.material):
+        raise ValueError(f"material: got {options.material!r}, the policy was trained with {saved.material!r}")
+    fields = read_stiffness(options.stiffness, bodies or saved.bodies)
+    env = saved.make_env(task=other, bodies=bodies, stiffness=fields)
+    name = "the package's baseline, a policy for any body" if policy == BASELINE else f"the policy {saved.path}"
+    return env, saved.module(env), name
+
+
+def _policy(options: Options) -> str:
+    """Returns "sine", "baseline" or the path of a policy."""
+    if options.policy is not None:
+        return str(options.policy)
+    task = choose_task(options.task, options.world)
+    return BASELINE if has_baseline(task, options.material or "invariant") else SINE
+
+
+def _with_sine(options: Options) -> "tuple[TaskEngine, Gait, str]":
     from evogymcm.body import as_body
     from evogymcm.envs import TaskEngine, sine_gait
 
-    if options.policy is None:
-        task = choose_task(options.task, options.world)
-        shown = [as_body(body) for body in options.body or [default_body(task)]]
-        fields, material = read_stiffness(options.stiffness, shown), options.material or "invariant"
-        return TaskEngine(task, shown, material=material, stiffness=fields, with_voxels=False), sine_gait
-    from evogymcm.algos.gaits.stored import gaits_in
-
-    if gaits_in(options.policy):
-        return _with_gaits(options, options.policy)
-    from evogymcm.algos.runs import load_policy
-
-    saved = load_policy(options.policy)
-    if options.material not in (None, saved.material):
-        raise ValueError(f"material: got {options.material!r}, the policy was trained with {saved.material!r}")
-    other = choose_task(options.task, options.world) if options.task or options.world else None
-    bodies = [as_body(body) for body in options.body]
-    fields = read_stiffness(options.stiffness, bodies or saved.bodies)
-    env = saved.make_env(task=other, bodies=bodies, stiffness=fields)
-    return env, saved.module(env)
+    task = choose_task(options.task, options.world)
+    shown = [as_body(body) for body in options.body or [default_body(task)]]
+    fields, material = read_stiffness(options.stiffness, shown), options.material or "invariant"
+    engine = TaskEngine(task, shown, material=material, stiffness=fields, with_voxels=False)
+    return engine, sine_gait, "a sine wave"
 
 
-def _with_gaits(options: Options, path: Path) -> "tuple[TaskEngine, Gait]":
+def _with_gaits(options: Options, path: Path) -> "tuple[TaskEngine, Gait, str]":
     """Returns the worlds of saved gaits, and the gaits; each keeps its own body, or one moves other bodies."""
     from evogymcm.algos.gaits import load_gaits
     from evogymcm.body import as_body
@@ -136,7 +165,8 @@ def _with_gaits(options: Options, path: Path) -> "tuple[TaskEngine, Gait]":
     other = choose_task(options.task, options.world) if options.task or options.world else saved.task
     if fields is None and not bodies and saved.stiffness is not None:
         fields = list(saved.stiffness)
-    return saved.make_engine(task=other, bodies=bodies or list(saved.bodies), stiffness=fields), saved.waves
+    engine = saved.make_engine(task=other, bodies=bodies or list(saved.bodies), stiffness=fields)
+    return engine, saved.waves, f"the gait {path}"
 
 
 def _out(given: Path | None, task: str) -> Path | None:

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-import evogymcm
 from evogymcm._messages import brief
+from evogymcm.algos.baselines import load_baseline
+from evogymcm.algos.learning.config import BASELINE
 from evogymcm.body import Body
 from evogymcm.envs.core import TaskEngine
 from evogymcm.envs.gaits import sine_gait
@@ -19,7 +20,7 @@ if TYPE_CHECKING:  # robots move without torch
     from evogymcm.algos.learning.playing import Gait
     from evogymcm.algos.runs.policies import SavedPolicy
 
-BASELINE, SINE, RANDOM, STILL = "baseline", "sine", "random", "still"
+SINE, RANDOM, STILL = "sine", "random", "still"
 Made = tuple[TaskEngine, "Gait"]
 
 
@@ -58,7 +59,7 @@ class Driver:
         material: "invariant" or "reactive".
 
     Attributes:
-        saved: The policy, where it is one of a run.
+        saved: The policy, where it is the package's or one of a run.
 
     Raises:
         ValueError: There is no such policy, or it was trained in the other setting.
@@ -71,7 +72,7 @@ class Driver:
         self.saved: SavedPolicy | None = None
         self._gait: Callable[[int], Gait] | None = None
         if policy == BASELINE:
-            self._baseline = _find_baseline(task, material)
+            self.saved = load_baseline(task.id, material)
         elif isinstance(policy, str) and policy in _GAITS:
             self._gait = _GAITS[policy]
         elif isinstance(policy, str | os.PathLike) and (gaits := gaits_in(policy)) and gaits.is_file():
@@ -97,16 +98,9 @@ class Driver:
             return TaskEngine(self.task, [body], **options), self._gait(seed)
         from evogymcm.algos.learning.playing import as_gait
 
-        if self.saved is not None:
-            env = self.saved.make_env(1, task=self.task, bodies=[body], stiffness=field, **options)
-            module = self.saved.module(env)
-        else:
-            from evogymcm.envs import SoftRobotEnv
-
-            env = SoftRobotEnv(self.task, [body], material=self.material, stiffness=field, **options)
-            module = self._baseline
-            module.columns = env.grid_shape[1]
-        return env.engine, as_gait(module)
+        assert self.saved is not None
+        env = self.saved.make_env(1, task=self.task, bodies=[body], stiffness=field, **options)
+        return env.engine, as_gait(self.saved.module(env))
 
 
 _GAITS: dict[str, Callable[[int], Any]] = {
@@ -141,10 +135,3 @@ def _load_gait(path: Path, material: str) -> Callable[[int], Any]:
     if saved.material != material:
         raise ValueError(f"material: got {material!r}, the gait was found with {saved.material!r}")
     return lambda seed: saved.waves
-
-
-def _find_baseline(task: Task, material: str) -> Any:
-    find = getattr(evogymcm, BASELINE, None)
-    if find is None:
-        raise ValueError(f"policy: got {BASELINE!r}, but this release comes without trained policies")
-    return find(task.id, material)

@@ -65,8 +65,8 @@ class MaterialImprovement(Job):
         body: Anything that `as_body` takes.
         stiffness: (rows, columns) in [0.5, 2], the field to begin with; None for 1.
         task: Id of the task, or a world's file, of which the folder gets a copy.
-        policy: "sine" (the gait), or a policy of the invariant setting that moves this body: the folder of a run, one
-            of its files, or a `SavedPolicy`.
+        policy: "sine" (the gait), or a policy of the invariant setting that moves this body: "baseline", the folder of
+            a run, one of its files, or a `SavedPolicy`.
         search: Settings; by default 30 rounds of 4 fields, where any gain counts.
         seed: Of its draws.
 

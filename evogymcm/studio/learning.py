@@ -40,8 +40,8 @@ class Learning(Job):
         task: The id of a task, a `World` to walk in, or a world's file, of which the folder gets a copy.
         material: "invariant" or "reactive".
         ppo: Settings; by default 300,000 env-steps with an evaluation every 10,000.
-        initial: A policy to begin with, of this task, or of one with the same features, and any body: the folder of a
-            run, one of its files, or a `SavedPolicy`. The network is then of its kind and size.
+        initial: A policy to begin with, of this task, or of one with the same features, and any body: "baseline", the
+            folder of a run, one of its files, or a `SavedPolicy`. The network is then of its kind and size.
 
     Raises:
         ValueError: A setting is out of range, the design is not valid, or it cannot begin with that policy.
@@ -141,7 +141,5 @@ def _network_of(driver: Driver) -> dict[str, Any]:
     """Returns the settings of PPO that make a network like a policy's; ValueError where a run cannot begin with it."""
     form = driver.saved.state["form"] if driver.saved is not None else None
     if form is None or form.get("copies") is not None:
-        raise ValueError(
-            f"initial: got {'a gait' if form is None else 'several policies'}, expected one policy of a run"
-        )
+        raise ValueError(f"initial: got {'a gait' if form is None else 'several policies'}, expected one policy")
     return {name: form[name] for name in ("network", "hidden", "context") if name in form}

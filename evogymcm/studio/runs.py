@@ -9,7 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 from evogymcm._messages import brief
 from evogymcm._settings import check_count
-from evogymcm.studio.store import BASELINE, GAITS, RUN, Store, check_policy
+from evogymcm.algos.baselines import has_baseline
+from evogymcm.algos.learning.config import BASELINE
+from evogymcm.studio.store import GAITS, RUN, Store, check_policy
 
 if TYPE_CHECKING:  # they load torch or numba when they are used
     from evogymcm.studio.processes import Job
@@ -92,12 +94,10 @@ class Runs:
             raise ValueError(f"policy: {id} has no {label(name)}{' with ' + rest[0] if rest else ''}")
         return SINE, 0
 
-    def policies(self) -> dict[str, str]:
-        """Returns what can move a robot, and what to call it: gaits, and runs that have a policy."""
-        import evogymcm
-
+    def policies(self, task: str, material: str) -> dict[str, str]:
+        """Returns what can move a robot in a task, and what to call it: gaits, and policies that there are."""
         found = dict(GAITS)
-        if hasattr(evogymcm, BASELINE):
+        if has_baseline(task, material):
             found[BASELINE] = "Baseline policy"
         found |= {policy: title_of_given(policy) for policy in self._given}
         for entry in self._store.entries():
@@ -147,7 +147,7 @@ class Runs:
         return job
 
     def train(self, id: str, wanted: "Wanted", steps: int) -> "Job":
-        """Begins to train a policy for what is seen, from the policy that moves it if that is of a run.
+        """Begins to train a policy for what is seen, from the policy that moves it unless that is a gait.
 
         Raises:
             ValueError: It cannot be trained so.
@@ -157,7 +157,7 @@ class Runs:
         from evogymcm.studio.watching import read_field
 
         design = (wanted.body, read_field(wanted), wanted.task, wanted.material)
-        initial = None if wanted.policy in (*GAITS, BASELINE) else wanted.policy
+        initial = None if wanted.policy in GAITS else wanted.policy
         return self._start(Learning(self._new(id, TRAIN), *design, _paced(PPO, steps), initial))
 
     def improve(self, id: str, wanted: "Wanted", rounds: int) -> "Job":
@@ -165,7 +165,7 @@ class Runs:
         from evogymcm.studio.improving import SEARCH, MaterialImprovement
         from evogymcm.studio.watching import read_field
 
-        if wanted.policy in (*GAITS, BASELINE) and wanted.policy != SINE:
+        if wanted.policy in GAITS and wanted.policy != SINE:
             raise ValueError("It needs the sine gait or a trained policy: choose one under “Moved by”.")
         if wanted.material == "reactive":
             raise ValueError("In the reactive setting stiffness belongs to what moves the robot, not to its material.")

@@ -14,6 +14,7 @@ from typing import Any
 from evogymcm._files import write_atomic
 from evogymcm._messages import brief
 from evogymcm._settings import check_choice
+from evogymcm.algos.learning.config import BASELINE
 from evogymcm.body import FILE_SUFFIXES, robots
 from evogymcm.envs.tasks import tasks
 from evogymcm.studio.drawing import Drawing
@@ -23,7 +24,6 @@ from evogymcm.studio.terrain import Terrain
 ID = re.compile(r"[a-z0-9](?:[a-z0-9-]{0,38}[a-z0-9])?")
 RUN = re.compile(r"(train|material|evolve)-([1-9][0-9]{0,3})")
 GAITS = {"sine": "Sine gait", "random": "Random actions", "still": "Neutral actions"}
-BASELINE = "baseline"
 _POLICY = re.compile(rf"{ID.pattern}/{RUN.pattern}(/policy-[0-9]{{4}})?|given:[^/\n]{{1,200}}")
 TERRAIN = "terrain"  # the task to walk in the terrain that is drawn
 LONGEST_NAME = 60

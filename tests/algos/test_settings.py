@@ -54,8 +54,8 @@ def test_every_field_refuses_what_is_of_another_kind(config):
         kinds = set(wrong)
         if name in OPTIONAL:
             kinds -= {"none"}
-        if name == "task":
-            kinds -= {"text"}  # whether there is such a task is checked when a run starts
+        if name in ("task", "initial"):
+            kinds -= {"text"}  # whether there is such a task or policy is checked when a run starts
         for kind in sorted(kinds):
             with pytest.raises(ValueError, match=rf"^{name}: got |^{name}: "):
                 replace(config, **{name: wrong[kind]})

@@ -252,7 +252,7 @@ def test_bodies_and_worlds_come_from_files(capsys, tmp_path, monkeypatch):
     assert (
         main([*shown, "--world", "hills.json", "--body", "HHH", "V.V/HHH", "slit.npz"]) == 0
     )  # two are no rows of one
-    assert [line.split(":")[0] for line in capsys.readouterr().out.splitlines()[1:]] == ["HHH", "V.V/HHH", "HH/VV"]
+    assert [line.split(":")[0] for line in capsys.readouterr().out.splitlines()[2:]] == ["HHH", "V.V/HHH", "HH/VV"]
 
     assert main(["train", "--world", "hills.json", *TINY, "--eval-interval", "0"]) == 0
     run = tmp_path / "runs" / "hills-invariant-seed0"

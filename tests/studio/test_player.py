@@ -7,11 +7,16 @@ import time
 import numpy as np
 import pytest
 
+import evogymcm as cm
 from evogymcm.algos import PPOConfig, TrainConfig, evaluate, load_policy, train
 from evogymcm.algos.gaits import FoundGaits, Waves, save_gaits
 from evogymcm.envs import SoftRobotEnv, TaskEngine, sine_gait
 from evogymcm.sim.world import World
+from evogymcm.studio.improving import MaterialImprovement
+from evogymcm.studio.learning import Learning
 from evogymcm.studio.player import Player
+from evogymcm.studio.runs import Runs
+from evogymcm.studio.store import Store
 from tests.envs.lottery import LOTTERY
 
 BODY, OTHER = "HHH/V.V", "HHHH/V..V"
@@ -79,6 +84,22 @@ def test_a_found_gait_moves_as_in_its_evaluation(tmp_path):
         Player(BODY, policy=path)
 
 
+@pytest.mark.usefixtures("sprint_baseline")
+def test_the_packages_baseline_moves_any_body_and_is_what_work_begins_with(sprint, tmp_path):
+    for body in (BODY, OTHER):
+        expected = evaluate(cm.baseline(sprint), SoftRobotEnv(sprint, body, 1)).score[0]
+        assert play_out(Player(body, task=sprint, policy="baseline"))["score"] == expected
+    learning = Learning(tmp_path / "one", BODY, FIELD, sprint, initial="baseline")
+    assert (learning.config.ppo.hidden, learning.config.ppo.context) == (8, "attention")
+    assert MaterialImprovement(tmp_path / "two", BODY, task=sprint, policy="baseline").config.policy == "policy"
+    runs = Runs(Store(tmp_path / "robots"))
+    offered = {
+        task: runs.policies(task, material) for task, material in ((sprint, "invariant"), ("terrain", "invariant"))
+    }
+    assert offered[sprint].pop("baseline") == "Baseline policy"
+    assert offered[sprint] == offered["terrain"] == runs.policies(sprint, "reactive")
+
+
 def test_bad_input_says_so_before_any_thread(sprint):
     before = len(clocks())
     for options, match in (
@@ -88,7 +109,7 @@ def test_bad_input_says_so_before_any_thread(sprint):
         ({"body": BODY, "material": "x"}, "material"),
         ({"body": BODY, "stiffness": FIELD, "material": "reactive"}, "stiffness"),
         ({"body": BODY, "policy": "nowhere"}, "policy"),
-        ({"body": BODY, "policy": "baseline"}, "policy"),
+        ({"body": BODY, "policy": "baseline"}, "baseline: got"),
         ({"body": BODY, "policy": 3}, "policy"),
         ({"body": BODY, "speed": 0}, "speed"),
         ({"body": BODY, "speed": 1e9}, "speed"),

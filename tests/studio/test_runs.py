@@ -47,8 +47,8 @@ def test_policies_are_those_of_the_folder_and_those_given(store, tmp_path):
         "ant/train-10": "Ant: Training 10",
         "given:first": "Run first",
         "given:first (2)": "Run first (2)",
-    }.items() <= runs.policies().items()
-    assert "ant/train-2" not in runs.policies()
+    }.items() <= runs.policies("Walker-v0", "invariant").items()
+    assert "ant/train-2" not in runs.policies("Walker-v0", "invariant")
     assert runs.policy("sine") == ("sine", 0)
     assert runs.policy("ant/train-2") == ("sine", 0)  # it has none yet
     path, version = runs.policy("ant/train-1")

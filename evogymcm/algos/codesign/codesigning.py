@@ -82,6 +82,7 @@ def codesign(
             stiffness=stiffness,
             edge_rule=config.edge_rule,
             seed=config.seed,
+            initial=state.began,
             origin=find_origin(),
         )
         record.write(run)

@@ -21,7 +21,7 @@ from evogymcm._settings import (
 from evogymcm.algos.codesign.body_ppo import BodyPPOConfig, check_body_ppo
 from evogymcm.algos.codesign.body_search import check_budget
 from evogymcm.algos.codesign.genetic import check_population
-from evogymcm.algos.learning.config import Selection, check_selection
+from evogymcm.algos.learning.config import INITIAL, Selection, check_initial, check_selection
 from evogymcm.algos.runs.older import of_arm
 from evogymcm.body import SAMPLE_WEIGHTS, STIFFNESS_HIGH, STIFFNESS_LOW, check_weights
 
@@ -135,7 +135,9 @@ class CodesignConfig:
         mutants: mutants of one parent for each child, each played once from the exact start under the policy of that
             parent; the best is trained. 1 takes the first, as EvoGym does; more need `inherit` and the genetic
             algorithm.
-        inherit: whether a child starts from its parent's policy instead of a fresh one; needs a method that has
+        initial: what the weights of policies are at first, see `TrainConfig`; those of children too, unless they
+            inherit.
+        inherit: whether a child starts from its parent's policy instead of `initial`; needs a method that has
             parents, and policies that are not shared, since one policy cannot start from several.
         inherit_std: standard deviation with which an inherited policy explores at first, in half ranges of the action;
             None for that of its parent, which training has lowered.
@@ -171,6 +173,7 @@ class CodesignConfig:
     attempts: int = 50
     weights: tuple[float, ...] = SAMPLE_WEIGHTS
     mutants: int = 1
+    initial: str = INITIAL
     inherit: bool = False
     inherit_std: float | None = None
     rungs: tuple[float, ...] = ()
@@ -188,7 +191,8 @@ class CodesignConfig:
         halving = HalvingSchedule(self.rungs, self.keep)
         rows, cols = (check_count("shape", side) for side in check_pair("shape", self.shape))
         weights = check_weights(check_numbers("weights", self.weights))
-        given = {"shape": (rows, cols), "weights": weights, "work_weight": check_work_weight(self.work_weight)}
+        given: dict[str, Any] = {"shape": (rows, cols), "weights": weights, "initial": check_initial(self.initial)}
+        given["work_weight"] = check_work_weight(self.work_weight)
         for name, value in (given | vars(halving)).items():
             object.__setattr__(self, name, value)
         if not isinstance(self.task, str):

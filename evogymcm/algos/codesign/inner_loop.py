@@ -3,7 +3,6 @@
 A policy is a mapping as `train` saves it, of one design: its form, and the weights of actor and critic.
 """
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -83,12 +82,6 @@ def train_designs(
     trainer = Trainer(holding(make_env, designs), ppo.of_bodies(n))
     result = trainer.train(run=run, progress=progress, should_stop=should_stop, initial=start)
     return _apart(result, n, ppo.selection)
-
-
-def exploring(policy: Policy, std: float) -> Policy:
-    """Returns a policy with the same mean actions that explores with `std`, in half ranges of the action."""
-    log_std = torch.full_like(policy["actor"]["log_std"], math.log(std))
-    return policy | {"actor": policy["actor"] | {"log_std": log_std}}
 
 
 def stack_policies(policies: Sequence[Policy], sharing: str) -> Policy:

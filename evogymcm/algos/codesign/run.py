@@ -8,12 +8,13 @@ import numpy as np
 from evogymcm.algos.codesign.config import CodesignConfig
 from evogymcm.algos.codesign.design import Design, Individual
 from evogymcm.algos.codesign.genetic import GeneticAlgorithm
-from evogymcm.algos.codesign.inner_loop import Policy, Trained, exploring, train_designs
+from evogymcm.algos.codesign.inner_loop import Policy, Trained, train_designs
 from evogymcm.algos.codesign.ledger import Ledger
 from evogymcm.algos.codesign.material_search import MaterialSearch
 from evogymcm.algos.codesign.plan import Training, finetuning, phases, search_seed, trainings
 from evogymcm.algos.codesign.scoring import Scores, score_alone, score_proposals, score_together
 from evogymcm.algos.codesign.start import check_start, env_maker, make_body_search
+from evogymcm.algos.learning.initial import exploring, following, initial_policy
 from evogymcm.algos.runs.folder import RunFolder
 
 _STATE = "codesign"
@@ -51,6 +52,10 @@ class Codesign:
         config: settings.
         run: where everything is kept; None keeps it in memory.
 
+    Attributes:
+        config: settings, with networks of the form that policies begin with.
+        began: what policies begin with, see `RunRecord.initial`.
+
     Raises:
         ValueError: A run of these settings cannot start, see `check_start`.
         ImportError: A package that they need is missing.
@@ -58,6 +63,9 @@ class Codesign:
 
     def __init__(self, config: CodesignConfig, run: RunFolder | None = None) -> None:
         check_start(config)
+        self.began, self._first = initial_policy(config.initial, config.task, config.material, config.ppo)
+        if self._first is not None:
+            config = replace(config, ppo=following(config.ppo, self._first))
         self.config, self.run = config, run
         self.make_env, self.body_search = env_maker(config), make_body_search(config)
         self.env_steps, self.phase = 0, "train"
@@ -138,11 +146,11 @@ class Codesign:
             should_stop=self._is_stopped,
         )
 
-    def _inherited(self, new: list[Individual]) -> list[Policy] | None:
+    def _initial(self, new: list[Individual]) -> list[Policy] | None:
         """Returns the policies that new individuals start from, None for fresh ones."""
         parents = [individual.parent for individual in new if individual.parent is not None]
         if not self.config.inherit or len(parents) < len(new):  # a generation is all random, or all mutants
-            return None
+            return None if self._first is None else [self._first] * len(new)
         policies = [self.ledger.policy(parent) for parent in parents]
         std = self.config.inherit_std
         return policies if std is None else [exploring(policy, std) for policy in policies]
@@ -168,7 +176,7 @@ class Codesign:
     def _train(self) -> bool:
         """Trains the generation's new bodies, with successive halving where there are rungs."""
         new, generation = self.body_search.ask(), self.generation
-        designs, going, start, steps = self._designs(new), list(range(len(new))), self._inherited(new), 0
+        designs, going, start, steps = self._designs(new), list(range(len(new))), self._initial(new), 0
         scores, policies = [-np.inf] * len(new), dict[int, Policy]()
         for training in trainings(self.config, generation, len(new)):
             trained = self._learn(training, [designs[i] for i in going], start, steps)

@@ -11,6 +11,7 @@ from evogymcm.algos.codesign.config import CodesignConfig
 from evogymcm.algos.codesign.genetic import GeneticAlgorithm
 from evogymcm.algos.codesign.map_elites import MapElites
 from evogymcm.algos.codesign.random_search import RandomSearch
+from evogymcm.algos.learning.initial import find_initial
 from evogymcm.body import H_ACT, Body
 from evogymcm.envs import SoftRobotEnv
 
@@ -37,10 +38,25 @@ def check_start(config: CodesignConfig) -> None:
     """Makes sure that a run can start: raises what would be raised only in the first generation.
 
     Raises:
-        ValueError: There is no such task, or a body that fills the shape does not fit into its world.
+        ValueError: There is no such task, or a body that fills the shape does not fit into its world, or policies
+            cannot begin as they should.
         ImportError: The package of the method or of the search's proposals is missing.
     """
     make_body_search(config)
     if config.search and config.search.proposal == "cma":
         load_cma()
-    env_maker(config)(bodies=[Body(np.full(config.shape, H_ACT))], num_worlds=1, seed=0).close(raise_if_closed=False)
+    env = env_maker(config)(bodies=[Body(np.full(config.shape, H_ACT))], num_worlds=1, seed=0)
+    try:
+        check_initial_policy(config, env)
+    finally:
+        env.close(raise_if_closed=False)
+
+
+def check_initial_policy(config: CodesignConfig, env: SoftRobotEnv) -> None:
+    """Raises a ValueError where policies cannot begin as they should, in such an environment."""
+    _, saved = find_initial(config.initial, config.task, config.material, config.ppo)
+    if saved is None:
+        return
+    if saved.state["form"].get("copies") is not None:
+        raise ValueError(f"initial: {saved.path} holds policies of several bodies, expected one policy")
+    saved.module(env)

@@ -1,5 +1,6 @@
 """Settings of learning: plain data, without torch."""
 
+import os
 from dataclasses import dataclass, field, replace
 from typing import Literal, get_args
 
@@ -24,6 +25,8 @@ Context = Literal["none", "body", "message", "attention"]
 Sharing = Literal["shared", "independent"]
 Selection = Literal["score", "robust"]
 CONTEXTS = get_args(Context)
+FRESH, BASELINE, AUTO = "fresh", "baseline", "auto"
+INITIAL = FRESH  # what training and co-design begin with by default
 
 DEVICES = ("cpu", "cuda", "mps", "xpu", "meta")  # kinds, of which "cuda:1" is one; "meta" computes nothing
 _BOUNDS: dict[str, dict[str, float]] = {  # counts without any: from 1
@@ -146,6 +149,15 @@ def check_selection(selection: Selection, eval_starts: int) -> None:
         raise ValueError("selection: got 'robust', the mean over several starts, which needs eval_starts of at least 2")
 
 
+def check_initial(initial: str | os.PathLike[str]) -> str:
+    """Returns a word or path that says what training begins with, as text."""
+    if not isinstance(initial, str | os.PathLike) or not os.fspath(initial):
+        raise ValueError(
+            f"initial: got {brief(initial)}, expected {FRESH!r}, {BASELINE!r}, {AUTO!r} or the path of a policy"
+        )
+    return os.fspath(initial)
+
+
 Field = tuple[tuple[float, ...], ...]
 
 
@@ -167,6 +179,10 @@ class TrainConfig:
         work_weight: What a unit of supplied work costs in reward: a number, or one for work of actuation and one for
             work of stiffness. With 0 it is only reported, with None not measured. Scores are always the task's.
         ppo: Settings of PPO.
+        initial: What the weights of actor and critic are at first: "fresh", the package's "baseline" (`baseline`),
+            "auto" (the baseline where there is one of this form, else fresh), or a policy of a run as `load_policy`
+            takes it. Exploration begins with `ppo.initial_std` in any case. The networks are then of the policy's form:
+            leave `network`, `hidden` and `context` out.
 
     Raises:
         ValueError: A value is of the wrong kind or out of range; bodies or stiffness do not fit.
@@ -180,10 +196,12 @@ class TrainConfig:
     random_bodies: tuple[int, int] | None = None
     work_weight: WorkWeight = None
     ppo: PPOConfig = field(default_factory=PPOConfig)
+    initial: str = INITIAL
 
     def __post_init__(self) -> None:
         if not isinstance(self.task, str):
             raise ValueError(f"task: got {self.task!r}, expected the id of a task or the file of a world")
+        object.__setattr__(self, "initial", check_initial(self.initial))
         if not isinstance(self.ppo, PPOConfig):
             raise ValueError(f"ppo: got {brief(self.ppo)}, expected a PPOConfig")
         object.__setattr__(self, "bodies", as_texts(self.bodies))

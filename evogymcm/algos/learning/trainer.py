@@ -42,6 +42,22 @@ def _copies(config: PPOConfig, env: EnvBase) -> int | None:
     return env.num_designs
 
 
+def _check_form(given: Mapping[str, Any], own: Mapping[str, Any]) -> None:
+    """Raises a ValueError where a policy's form is not that of a run's networks."""
+    if set(given["ranges"]) != set(own["ranges"]):
+        is_reactive = "stiffness" in given["ranges"]
+        raise ValueError(f"initial: the policy {'sets stiffness' if is_reactive else 'does not set stiffness'}")
+    same = given.keys() & own.keys() - {"ranges", "columns", "copies"}
+    differing = [f"{name} {given[name]!r}, the run {own[name]!r}" for name in sorted(same) if given[name] != own[name]]
+    if differing:
+        raise ValueError(f"initial: the policy has {'; '.join(differing)}")
+    copies = given.get("copies")
+    if copies not in (None, own["copies"]):
+        raise ValueError(
+            f"initial: got policies of {copies} designs, expected one, or one for each of independent ones"
+        )
+
+
 # What TorchRL's collectors do beside collecting and nothing here needs. Versions 0.11 and 0.12 know neither name: they
 # add no transforms, and always number trajectories.
 _WITHOUT = {
@@ -244,8 +260,13 @@ class Trainer:
         return True
 
     def start_from(self, policy: Mapping[str, Any]) -> None:
-        """Starts from a saved policy's weights (see `train`) instead of fresh ones."""
-        copies, given = self.actor.copies, policy["form"]["copies"]
+        """Starts from a saved policy's weights (see `train`) instead of fresh ones.
+
+        Raises:
+            ValueError: Its networks have another form.
+        """
+        copies, given = self.actor.copies, policy["form"].get("copies")
+        _check_form(policy["form"], self.actor.form)
         for name, network in (("actor", self.actor), ("critic", self.critic)):
             weights = policy[name]
             if copies is not None and given is None:

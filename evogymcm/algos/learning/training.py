@@ -11,7 +11,8 @@ from torchrl.record.loggers import Logger
 
 from evogymcm._messages import brief
 from evogymcm.algos.learning.bodies import RandomBodies
-from evogymcm.algos.learning.config import PPOConfig, TrainConfig
+from evogymcm.algos.learning.config import INITIAL, PPOConfig, TrainConfig
+from evogymcm.algos.learning.initial import following, initial_policy
 from evogymcm.algos.learning.loop import Progress, TrainResult, train_to_the_end
 from evogymcm.algos.learning.trainer import Trainer
 from evogymcm.algos.runs.folder import RunFolder
@@ -45,8 +46,8 @@ def train(
             every update.
         should_stop: Called after every update; if it returns True, the run ends with a checkpoint. By default Ctrl-C
             does this.
-        initial: A saved policy (`load_policy(path).state`) to start from instead of fresh weights, for fine-tuning or
-            for another body. A single policy can be the start of all independent ones.
+        initial: A saved policy (`load_policy(path).state`) to start from in place of what `config.initial` says, as it
+            is, its exploration and optimiser included. A single policy can be the start of all independent ones.
         logger: Any of TorchRL's loggers (CSV, TensorBoard, W&B); receives every number of every row.
         num_threads: Threads of the simulator; all cores by default. Results do not depend on it.
         start_from: No longer in use: the name of `initial` in earlier versions.
@@ -66,9 +67,11 @@ def train(
     if old or not isinstance(config, TrainConfig):
         raise ValueError(f"config: got {brief((config, *old))}, expected a TrainConfig")
     settings, config = asdict(config), config.resolved()
-    with make_trainer(config, num_threads) as trainer:
-        if initial is not None:
-            trainer.start_from(initial)
+    if initial is not None and config.initial != INITIAL:
+        raise ValueError(f"initial: got a policy, and {config.initial!r} in the settings too, expected one of them")
+    where = config.initial, config.task, config.material, config.ppo
+    began, policy = ("policy", initial) if initial is not None else initial_policy(*where)
+    with make_trainer(config, num_threads, policy) as trainer:
         if run is None:
             return train_to_the_end(trainer, run=None, **told)
         if not isinstance(run, RunFolder):
@@ -84,6 +87,7 @@ def train(
                 stiffness=config.stiffness,
                 edge_rule=config.edge_rule,
                 seed=config.ppo.seed,
+                initial=began,
                 origin=find_origin(),
             )
             record.write(run)
@@ -100,8 +104,13 @@ def train(
     return result
 
 
-def make_trainer(config: TrainConfig, num_threads: int | None = None) -> Trainer:
-    """Returns what trains a policy with these settings."""
+def make_trainer(
+    config: TrainConfig, num_threads: int | None = None, initial: Mapping[str, Any] | None = None
+) -> Trainer:
+    """Returns what trains a policy with these settings, see `train`; ValueError as there."""
+    if initial is None:
+        _, initial = initial_policy(config.initial, config.task, config.material, config.ppo)
+    ppo = config.ppo if initial is None else following(config.ppo, initial)
     bodies, fields = config.designs()
     make_env = partial(
         SoftRobotEnv,
@@ -115,7 +124,15 @@ def make_trainer(config: TrainConfig, num_threads: int | None = None) -> Trainer
         grid_shape=config.random_bodies,
     )
     if config.random_bodies is None:
-        return Trainer(make_env, config.ppo)
-    assert config.stiffness is None or isinstance(config.stiffness, float)
-    stream = RandomBodies(config.random_bodies, config.stiffness)
-    return Trainer(partial(make_env, bodies=stream, stiffness=None), config.ppo, make_env)
+        trainer = Trainer(make_env, ppo)
+    else:
+        assert config.stiffness is None or isinstance(config.stiffness, float)
+        stream = RandomBodies(config.random_bodies, config.stiffness)
+        trainer = Trainer(partial(make_env, bodies=stream, stiffness=None), ppo, make_env)
+    try:
+        if initial is not None:
+            trainer.start_from(initial)
+    except BaseException:
+        trainer.close()
+        raise
+    return trainer

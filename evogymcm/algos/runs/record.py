@@ -55,6 +55,8 @@ class RunRecord:
             have. None: 1, or set by the policy, or searched for each design.
         edge_rule: How stiffness acted on shared edges.
         seed: The run's seed; None where it is not recorded.
+        initial: What training, or the first generation, began with: "fresh" weights, the package's "baseline", the path
+            of a policy, or a "policy" that the caller gave; None where it is not recorded.
         finished: Whether it ran to its end.
         env_steps: Env-steps simulated so far; in co-design including evaluations.
         seconds: Wall time so far; None where it is not recorded.
@@ -78,6 +80,7 @@ class RunRecord:
     stiffness: Any = None
     edge_rule: str = "mean_factor"
     seed: int | None = None
+    initial: str | None = None
     finished: bool = False
     env_steps: int = 0
     seconds: float | None = None
@@ -202,6 +205,7 @@ def _record(name: str, told: Row, config: Row, rows: list[dict[str, Any]], files
         stiffness=stiffness,
         edge_rule=told.get("edge_rule") or config.get("edge_rule") or "mean_factor",
         seed=told.get("seed", config.get("seed", inner.get("seed"))),
+        initial=told.get("initial"),
         finished=finished,
         env_steps=max(int(told.get("env_steps") or 0), last),
         seconds=next((row["seconds"] for row in rows[::-1] if "seconds" in row), earlier),

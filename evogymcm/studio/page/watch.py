@@ -83,8 +83,8 @@ class WatchPanel:
 
     def _policies(self) -> dict[str, str]:
         """Returns what can be chosen, the present choice included."""
-        chosen = self._session.design.policy
-        found = self._runs.policies()
+        design = self._session.design
+        chosen, found = design.policy, self._runs.policies(design.task, design.material)
         return found if chosen in found else found | {chosen: self._runs.title(chosen)}
 
     def _choose_task(self, task: str | None) -> None:
