@@ -16,8 +16,9 @@ from typing import Any
 from evogymcm._extras import load_extra
 from evogymcm.algos.codesign.codesigning import CodesignResult, codesign
 from evogymcm.algos.codesign.config import CodesignConfig
+from evogymcm.algos.codesign.crew import check_executor, know
 from evogymcm.algos.codesign.start import check_start
-from evogymcm.envs.tasks import Task, as_task, register_task
+from evogymcm.envs.tasks import Task, as_task
 
 
 def codesign_in(folder: Path, config: CodesignConfig, task: Task | None = None) -> CodesignResult:
@@ -25,9 +26,9 @@ def codesign_in(folder: Path, config: CodesignConfig, task: Task | None = None) 
 
     `task` is the one that the settings name, for workers that have not registered it.
     """
-    if task is not None and task.id == config.task:  # the file of a world has no id
-        register_task(task, replace=True)
-    return codesign(config, run=folder, should_stop=lambda: False)
+    if task is not None:
+        know(task, config.task)
+    return codesign(config, run=folder, should_stop=lambda: False, workers=1)
 
 
 def codesign_all(
@@ -46,8 +47,7 @@ def codesign_all(
         ValueError: a run cannot start, see `codesign`; then none has started.
         Exception: the error of a run, after the results of those that ended before it were yielded.
     """
-    if not callable(getattr(executor, "submit", None)):
-        raise ValueError(f"executor: got {executor!r}, expected a concurrent.futures.Executor")
+    check_executor(executor)
     for name, config in configs.items():
         try:
             check_start(config)
