@@ -58,7 +58,7 @@ def train_piece(
         make_env,
         designs,
         ppo,
-        run=place and place.open(),
+        run=None if place is None else place.open(),
         initial=initial,
         progress=lambda state: tell(state.env_steps),
         should_stop=should_stop,

@@ -167,12 +167,8 @@ class Codesign:
         mutants = self.body_search.mutants(self.config.mutants)
         policies = [self.ledger.policy(index) for group in mutants if (index := group[0].parent) is not None]
         designs = [self._designs(group) for group in mutants]
-        parts = self._do(
-            [
-                partial(screen_piece, self.make_env, designs[part], policies[part])
-                for part in pieces(len(designs), self.config.piece)
-            ]
-        )
+        places = pieces(len(designs), self.config.piece)
+        parts = self._do([partial(screen_piece, self.make_env, designs[part], policies[part]) for part in places])
         if parts is None:
             return False
         self.body_search.choose(np.concatenate([part.scores for part in parts]))
@@ -212,14 +208,17 @@ class Codesign:
         assert self.config.search is not None
         survivors = self.body_search.survivors
         policies = [self.ledger.policy(individual.index) for individual in survivors]
-        config, seed = self.config, search_seed(self.config, self.generation)
-        how = (config.search, seed, config.eval_starts, config.selection)
-        parts = self._do(
-            [
-                partial(search_piece, self.make_env, survivors[part], policies[part], *how)
-                for part in pieces(len(survivors), config.piece)
-            ]
+        config = self.config
+        search = partial(
+            search_piece,
+            self.make_env,
+            config=config.search,
+            seed=search_seed(config, self.generation),
+            starts=config.eval_starts,
+            selection=config.selection,
         )
+        places = pieces(len(survivors), config.piece)
+        parts = self._do([partial(search, survivors[part], policies[part]) for part in places])
         if parts is None:
             return False
         told = dict[int, dict[str, float]]()
