@@ -4,7 +4,8 @@
         for folder, result in codesign_all(configs, Path("runs"), executor): ...
 
 With Dask, `Client(...).get_executor(pure=False)` is an executor; with Ray, `RayExecutor()`. Workers must see the same
-file system; several threads in one are as good as several workers.
+file system; several threads in one are as good as several workers. The pieces of one run spread over the same
+executors, see `codesign`.
 """
 
 from collections.abc import Callable, Iterator, Mapping

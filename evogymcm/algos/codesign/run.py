@@ -205,10 +205,9 @@ class Codesign:
 
     def _search_materials(self) -> bool:
         """Searches the survivors' stiffness fields under their present policies."""
-        assert self.config.search is not None
-        survivors = self.body_search.survivors
+        config, survivors = self.config, self.body_search.survivors
+        assert config.search is not None
         policies = [self.ledger.policy(individual.index) for individual in survivors]
-        config = self.config
         search = partial(
             search_piece,
             self.make_env,
