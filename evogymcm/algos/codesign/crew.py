@@ -18,18 +18,17 @@ import cloudpickle
 
 from evogymcm.algos.codesign.pieces import ShouldStop, Tell
 from evogymcm.algos.runs.folder import RunInUseError
-from evogymcm.envs.tasks import Task, as_task, register_task
 
 _PAUSE = 0.2  # seconds between looks at what workers have done
 _DEATHS = 3  # of its workers that a piece may see
 _WAITING = 60  # seconds for the piece's former worker, which the program before may have left, to stop
 _GO, _PREFIX = "go", "pieces-"
-_LOST = (  # errors of Dask and Ray, by name: neither is needed here
-    "KilledWorker",
-    "WorkerCrashedError",
-    "NodeDiedError",
-    "OwnerDiedError",
-    "OutOfMemoryError",
+_LOST = (  # of Dask and Ray, neither of which is needed here
+    "distributed.scheduler.KilledWorker",
+    "ray.exceptions.NodeDiedError",
+    "ray.exceptions.OutOfMemoryError",  # which killed it
+    "ray.exceptions.OwnerDiedError",
+    "ray.exceptions.WorkerCrashedError",
 )
 
 
@@ -47,12 +46,11 @@ class Crew:
 
     Args:
         executor: Whose workers do the pieces; None does them here.
-        task: Id of the task, which workers may not have registered.
         folder: Of the run; None keeps what workers and this process tell each other in a temporary folder.
     """
 
-    def __init__(self, executor: Executor | None = None, task: str = "", folder: Path | None = None) -> None:
-        self._executor, self._task, self._folder = executor, task, folder
+    def __init__(self, executor: Executor | None = None, folder: Path | None = None) -> None:
+        self._executor, self._folder = executor, folder
         for old in folder.glob(f"{_PREFIX}*") if folder else ():  # of a run that was killed
             shutil.rmtree(old, ignore_errors=True)  # which also stops those of its pieces that still go on
 
@@ -86,8 +84,7 @@ class Crew:
         self, executor: Executor, board: Path, pieces: Sequence[Piece], tell: Tell, is_stopped: ShouldStop
     ) -> list[Any] | None:
         """Does pieces on an executor."""
-        task = as_task(self._task)
-        calls = [cloudpickle.dumps((self._task, task, piece)) for piece in pieces]
+        calls = [cloudpickle.dumps(piece) for piece in pieces]
         done: dict[int, Any] = {}
         waiting: dict[Future, int] = {}
         deaths, changed, seen, is_patient = Counter[int](), threading.Event(), 0, True
@@ -118,7 +115,7 @@ class Crew:
                 if steps != seen:
                     tell(steps)
                     seen = steps
-                if is_stopped() or None in done.values():
+                if None in done.values() or (waiting and is_stopped()):
                     return None
             return [done[number] for number in range(len(pieces))]
         except KeyboardInterrupt:
@@ -129,6 +126,7 @@ class Crew:
             # Not cancelled: Dask and Ray would call pieces cancelled that still go on, and hold their folders.
             while is_patient and not all(future.done() for future in waiting):
                 changed.wait(_PAUSE)
+                changed.clear()
 
     @contextmanager
     def _board(self) -> Iterator[Path]:
@@ -136,7 +134,7 @@ class Crew:
         if self._folder is None:
             board = Path(tempfile.mkdtemp(prefix=_PREFIX))
         else:
-            board = self._folder / f"{_PREFIX}{uuid4().hex[:12]}"
+            board = self._folder.resolve() / f"{_PREFIX}{uuid4().hex[:12]}"
             board.mkdir()
         (board / _GO).touch()
         try:
@@ -151,19 +149,12 @@ def check_executor(executor: Any) -> None:
         raise ValueError(f"executor: got {executor!r}, expected a concurrent.futures.Executor")
 
 
-def know(task: Task, name: str) -> None:
-    """Registers the task that settings name, in a worker that may not have it."""
-    if task.id == name:  # the file of a world has no id
-        register_task(task, replace=True)
-
-
 def _do(call: bytes, board: str, number: int) -> bytes:
     """Does a piece: what a worker does.
 
     In a worker that does not see the folder `board` it cannot be stopped.
     """
-    name, task, piece = pickle.loads(call)
-    know(task, name)
+    piece = pickle.loads(call)
     here, own = Path(board), Path(board, f"{number}.steps")
     if not here.is_dir():
         return cloudpickle.dumps(piece(tell=lambda steps: None, should_stop=lambda: False))
@@ -198,4 +189,5 @@ def _tell_more(tell: Tell, before: int, steps: int) -> None:
 
 def _is_lost(error: Exception) -> bool:
     """Whether an error says that a worker died, rather than what it worked on."""
-    return isinstance(error, BrokenExecutor) or any(kind.__name__ in _LOST for kind in type(error).__mro__)
+    kinds = (f"{kind.__module__}.{kind.__qualname__}" for kind in type(error).__mro__)
+    return isinstance(error, BrokenExecutor) or any(kind in _LOST for kind in kinds)

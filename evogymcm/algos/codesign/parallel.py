@@ -17,9 +17,9 @@ from typing import Any
 from evogymcm._extras import load_extra
 from evogymcm.algos.codesign.codesigning import CodesignResult, codesign
 from evogymcm.algos.codesign.config import CodesignConfig
-from evogymcm.algos.codesign.crew import check_executor, know
+from evogymcm.algos.codesign.crew import check_executor
 from evogymcm.algos.codesign.start import check_start
-from evogymcm.envs.tasks import Task, as_task
+from evogymcm.envs.tasks import Task, as_task, register_task
 
 
 def codesign_in(folder: Path, config: CodesignConfig, task: Task | None = None) -> CodesignResult:
@@ -27,8 +27,8 @@ def codesign_in(folder: Path, config: CodesignConfig, task: Task | None = None) 
 
     `task` is the one that the settings name, for workers that have not registered it.
     """
-    if task is not None:
-        know(task, config.task)
+    if task is not None and task.id == config.task:  # the file of a world has no id
+        register_task(task, replace=True)
     return codesign(config, run=folder, should_stop=lambda: False, workers=1)
 
 

@@ -68,7 +68,7 @@ class Codesign:
             config = replace(config, num_threads=1)  # workers share the cores
         self.config, self.run = config, run
         self.make_env, self.body_search = env_maker(config), make_body_search(config)
-        self._crew = Crew(executor, config.task, run.path if run else None)
+        self._crew = Crew(executor, run.path if run else None)
         self.env_steps, self.phase = 0, "train"
         self.ledger = Ledger(run)
         self._tell: Callable[[CodesignProgress], None] = lambda progress: None
@@ -146,7 +146,7 @@ class Codesign:
                 name = f"generation-{self.generation:03}/{training.name}"
                 name += "" if size is None else f"/piece-{number:03}"
                 settings = {"generation": self.generation, "phase": training.name, "seed": ppo.seed}
-                place = Place(self.run.path, name, settings)
+                place = Place(self.run.path.resolve(), name, settings)
             start = None if initial is None else initial[part]
             works.append(partial(train_piece, self.make_env, designs[part], ppo, start, place))
         parts = self._do(works, spent)

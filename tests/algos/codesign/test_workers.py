@@ -120,11 +120,11 @@ def test_what_a_dying_worker_was_at_is_done_again_but_not_without_end():
         return type("Found", (), {"env_steps": 5})
 
     seen = []
-    done = Crew(Frail(2), "Dash-v0").do([piece] * 2, seen.append, lambda: False)
+    done = Crew(Frail(2)).do([piece] * 2, seen.append, lambda: False)
     assert [found.env_steps for found in done] == [5, 5]
     assert seen[-1] == 10
     with pytest.raises(RuntimeError, match="3 workers died at the same piece"):
-        Crew(Frail(9), "Dash-v0").do([piece], seen.append, lambda: False)
+        Crew(Frail(9)).do([piece], seen.append, lambda: False)
 
 
 def test_an_error_of_a_piece_is_raised_at_once():
@@ -135,7 +135,7 @@ def test_an_error_of_a_piece_is_raised_at_once():
         raise KeyError("mine")
 
     with pytest.raises(KeyError, match="mine"):
-        Crew(executor, "Dash-v0").do([failing], print, lambda: False)
+        Crew(executor).do([failing], print, lambda: False)
     assert executor.calls == 1
 
 
@@ -147,7 +147,7 @@ def test_a_piece_waits_for_a_former_worker_to_leave_its_folder(tmp_path):
             raise RunInUseError("still there")
         return type("Found", (), {"env_steps": 5})
 
-    (found,) = Crew(Here(), "Dash-v0", tmp_path).do([piece], lambda steps: None, lambda: False)
+    (found,) = Crew(Here(), tmp_path).do([piece], lambda steps: None, lambda: False)
     assert found.env_steps == 5
 
 
