@@ -22,6 +22,7 @@ COMMANDS: MappingProxyType[str, str] = MappingProxyType(  # modules of `evogymcm
         "tasks": "list the tasks: ids, episode lengths, score ceilings, what they ask for",
         "watch": "show robots at work, in a window or as a video",
         "gait": "search for a gait that moves a body, within seconds",
+        "evolve": "evolve bodies together with gaits, within minutes",
         "train": "train a policy for given bodies",
         "codesign": "evolve bodies, materials and control together",
         "studio": "draw a robot in the browser, and watch it move and learn",

@@ -7,9 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.experiments import figures
+from benchmarks.experiments import figures, observations
 from benchmarks.experiments.experiment import Comparison, Record, Tell
 from benchmarks.experiments.paper import PAPER, PUBLISHED, PUBLISHED_BODIES
+from benchmarks.experiments.signals import analyse_run
 from benchmarks.experiments.tables import joined, table
 from evogymcm.algos.analysis import resample, summarise
 from evogymcm.algos.codesign import BodyPPOConfig, CodesignConfig, SearchConfig, codesign, cost_of
@@ -45,12 +46,14 @@ class CodesignJob:
         return f"{self.config.task}-{self.arm}-seed{self.config.seed}"
 
     def run(self, folder: Path, resume: bool, tell: Tell, should_stop: Callable[[], bool]) -> Record:
-        """Searches in `folder / name` and returns all numbers of the run."""
+        """Searches in `folder / name` and returns all numbers of the run, and those of a gait that sets stiffness."""
         run = RunFolder(folder / self.name, {"label": self.arm, **asdict(self.config)}, resume=resume)
         told = {"progress": lambda state: tell(state.env_steps, state.best), "should_stop": should_stop}
         result = codesign(self.config, run=run, workers=1, **told)
         record = RunRecord.read(run.path).as_dict()
         record["best_return"] = max((row["return"] for row in result.rows), default=None)
+        if result.finished and self.config.material == "reactive":
+            record["signals"] = analyse_run(run.path).summary()
         return record
 
 
@@ -110,12 +113,13 @@ class EvolvedRobots(Comparison):
                     "ends": [float(run["curve"][-1][1]) for run in group],
                     "end_steps": float(np.mean([run["curve"][-1][0] for run in group])),
                     "returns": [run["best_return"] for run in group if run.get("best_return") is not None],
+                    **observations.observed(group),
                 }
             )
         return rows
 
     def table(self, rows: Sequence[Record]) -> str:
-        """Returns the summary, beside published returns where as many bodies were trained."""
+        """Returns the summary, beside published returns where as many bodies were trained, and what designs show."""
         head = ["task", "arm", "seeds", "env-steps", "bodies trained", "best score", "of each seed"]
         head += ["of whole runs", "to env-steps"]
         compared = [row["bodies"] == PUBLISHED_BODIES and bool(row["returns"]) for row in rows]
@@ -133,12 +137,13 @@ class EvolvedRobots(Comparison):
             if is_compared:
                 cells += [f"{np.mean(row['returns']):.2f}", f"{PUBLISHED[row['task']]:.2f}"]
             lines.append(cells + [""] * (len(lines[0]) - len(cells)))
-        return table(lines)
+        return "\n\n".join([table(lines), *observations.tables(rows)])
 
     def plot(self, runs: Sequence[Record], path: Path) -> None:
-        """Draws the best score against env-steps, and the best designs beside it as PATH-designs."""
+        """Draws the best score against env-steps, PATH-designs the best designs, PATH-stiffness their mean fields."""
         figures.best_curves(runs, self.tasks, self.arms, path)
         figures.designs(runs, path.with_name(f"{path.stem}-designs{path.suffix}"))
+        observations.plot(self.groups(runs), path)
 
 
 def _sizes(arms: tuple[str, ...], quick: str, small: tuple[str, ...]) -> Mapping[str, EvolvedRobots]:

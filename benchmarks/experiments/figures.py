@@ -11,7 +11,9 @@ import numpy as np
 from benchmarks.experiments.paper import PAPER
 from evogymcm import Body
 from evogymcm._files import write_atomic
-from evogymcm.algos.analysis import Signals, VoxelSignals, align, band
+from evogymcm.algos.analysis import Signals, VoxelSignals, align, band, mean_stiffness
+from evogymcm.algos.codesign.design import Design
+from evogymcm.body import STIFFNESS_HIGH, STIFFNESS_LOW
 from evogymcm.envs.render import palette
 
 _BLUE, _RED, _GREEN, _PINK, _YELLOW, _GREY = "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "0.5"
@@ -136,6 +138,29 @@ def _design(axis: Any, best: Mapping[str, Any]) -> None:
             axis.text(column + 0.5, 0.5 - row, label, color=ink, ha="center", va="center", size=7)
     axis.set(xlim=(-0.1, grid.shape[1] + 0.1), ylim=(0.9 - grid.shape[0], 1.1), aspect="equal")
     axis.set_axis_off()
+
+
+def mean_fields(groups: Mapping[tuple[str, str], Sequence[Design]], path: Path) -> None:
+    """Draws the mean stiffness field of the designs of each task and arm, with intervals and numbers of designs."""
+    shown = {key: mean_stiffness(designs) for key, designs in groups.items() if designs}
+    if not shown:
+        return
+    from matplotlib.colors import LogNorm
+
+    with _panels(path, len(shown), size=(3.6, 3.4)) as axes:
+        for axis, ((task, arm), field) in zip(axes, shown.items(), strict=True):
+            assert field.low is not None
+            assert field.high is not None
+            image = axis.imshow(field.mean, cmap="PuOr_r", norm=LogNorm(STIFFNESS_LOW, STIFFNESS_HIGH))
+            for (row, column), count in np.ndenumerate(field.count):
+                low, mean, high = (values[row, column] for values in (field.low, field.mean, field.high))
+                text = f"n={count}" if np.isnan(mean) else f"{mean:.2f}\n[{low:.2f}, {high:.2f}]\nn={count}"
+                ink = "white" if abs(np.log2(mean)) > 0.7 else "black"
+                axis.text(column, row, text, color=ink, ha="center", va="center", size=5.5)
+            axis.set(xticks=[], yticks=[])
+            axis.set_title(f"{task}\n{arm}, mean stiffness of {len(groups[task, arm])} designs", size="small")
+        bar = axes[0].figure.colorbar(image, ax=axes, shrink=0.6, ticks=(0.5, 1, 2), format="%g")
+        bar.minorticks_off()
 
 
 def sharing(

@@ -8,6 +8,7 @@ from typing import Any
 
 from benchmarks.experiments import figures
 from benchmarks.experiments.experiment import Comparison, Record
+from benchmarks.experiments.observations import anticipation_table
 from benchmarks.experiments.paper import CONTROL, FIXED_ARMS, PAPER, TREATED
 from benchmarks.experiments.signals import signals_table
 from benchmarks.experiments.tables import table, with_interval
@@ -100,6 +101,7 @@ class FixedRobots(Comparison):
         played = [((row["task"], str(s["seed"])), s) for row in rows for s in row["signals"]]
         if played:
             parts.append(signals_table(("stiffness in gaits", "seed"), played))
+            parts.append(anticipation_table([(task, signals) for (task, _), signals in played]))
         return "\n\n".join(parts)
 
     def plot(self, runs: Sequence[Record], path: Path) -> None:

@@ -13,22 +13,29 @@ from benchmarks.experiments.experiment import Experiment, Record, Tell
 from benchmarks.experiments.tables import table, with_interval
 from evogymcm._files import write_atomic
 from evogymcm.algos.analysis import Signals, analyse_signals, record_episode
+from evogymcm.algos.gaits import load_gaits
 from evogymcm.algos.runs import load_policy
+from evogymcm.algos.runs.record import GAIT
 
 _HEAD = ("score", "same frequency", "lag, degrees", "coherence", "impacts", "rise before impact", "rank")
 
 
 def analyse_run(folder: Path) -> Signals:
-    """Plays an episode with the policy of a run, and writes signals.json and signals.png there.
+    """Plays an episode with the policy of a run, or its gait, and writes signals.json and signals.png there.
 
     The figure is left out, with a warning, where matplotlib is not installed.
 
     Raises:
         ValueError: The run has no policy, or one that does not set stiffness.
     """
-    policy = load_policy(folder)
-    env = policy.make_env(1, num_threads=1)
-    signals = analyse_signals(record_episode(policy.module(env), env))
+    if (folder / GAIT).is_file():
+        found = load_gaits(folder / GAIT)
+        recording = record_episode(found.waves, found.make_engine(1, num_threads=1))
+    else:
+        policy = load_policy(folder)
+        env = policy.make_env(1, num_threads=1)
+        recording = record_episode(policy.module(env), env)
+    signals = analyse_signals(recording)
     text = json.dumps(signals.record(), allow_nan=False) + "\n"
     write_atomic(folder / "signals.json", lambda part: part.write_text(text, encoding="utf-8"))
     try:

@@ -40,8 +40,8 @@ class Options:
         material: whether the policy sets stiffness too ("reactive"), or stiffness belongs to the body.
         stiffness: invariant setting only: a number, or numbers in rows like the body's (2,2,2/0.5,1,0.5); one for all
             bodies or one for each.
-        policy: folder of a training run (its last policy) or of co-design (its best design), or one of their files,
-            such as policy-0003.pt (design 3); or gaits (.json) of `evogymcm gait`.
+        policy: folder of a training run (its last policy), of co-design or of an evolution (its best design), or one of
+            their files, such as policy-0003.pt (design 3); or gaits (.json) of `evogymcm gait`.
         out: file to write: .mp4, .gif, or .png (the last step).
         steps: env-steps at most.
         every: draw every Nth env-step.
@@ -105,7 +105,9 @@ def _worlds(options: Options) -> "tuple[TaskEngine | SoftRobotEnv, TensorDictMod
         shown = [as_body(body) for body in options.body or [default_body(task)]]
         fields, material = read_stiffness(options.stiffness, shown), options.material or "invariant"
         return TaskEngine(task, shown, material=material, stiffness=fields, with_voxels=False), sine_gait
-    if options.policy.suffix == ".json":
+    from evogymcm.algos.gaits.stored import gaits_in
+
+    if gaits_in(options.policy):
         return _with_gaits(options, options.policy)
     from evogymcm.algos.runs import load_policy
 

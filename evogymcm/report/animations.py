@@ -4,10 +4,11 @@ import base64
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from evogymcm.algos.runs.record import KINDS, RunRecord
+from evogymcm.algos.runs.record import GAIT, KINDS, RunRecord
 from evogymcm.report.sources import Arm
 from evogymcm.report.tables import tasks_of
 
@@ -48,7 +49,7 @@ def _policy(run: RunRecord) -> Path:
         raise ValueError("the run's folder is missing.")
     if run.kind == "train" and run.body is None:
         raise ValueError("the run's settings do not name the one body that it has.")
-    names = ("final.pt", "best.pt") if run.kind == "train" else (f"policy-{run.ranked()[0]['index']:04}.pt",)
+    names = ("final.pt", "best.pt") if run.kind == "train" else (f"policy-{run.ranked()[0]['index']:04}.pt", GAIT)
     for name in names:
         if (run.path / name).is_file():
             return run.path / name
@@ -57,19 +58,27 @@ def _policy(run: RunRecord) -> Path:
 
 def animate(arm: Arm, run: RunRecord, policy: Path) -> tuple[str, str]:
     """Returns the GIF as a data URI, and its caption."""
+    from evogymcm.algos.gaits import load_gaits
     from evogymcm.algos.learning import play
     from evogymcm.algos.runs import load_policy
     from evogymcm.envs import Renderer
+    from evogymcm.envs.engines import engine_of
 
-    saved = load_policy(policy)
-    env = saved.make_env(1, task=run.task, num_threads=1)
+    saved: Any
+    if policy.name == GAIT:
+        saved = load_gaits(policy)
+        env, drive = saved.make_engine(1, task=run.task, num_threads=1), saved.waves
+    else:
+        saved = load_policy(policy)
+        env = saved.make_env(1, task=run.task, num_threads=1)
+        drive = saved.module(env)
     try:
-        renderer, episode = Renderer(env, WIDTH, HEIGHT), play(saved.module(env), env, steps=STEPS)
+        renderer, episode = Renderer(env, WIDTH, HEIGHT), play(drive, env, steps=STEPS)
         frames = [renderer.frame() for now in episode if now.step % EVERY == 0 or not now.running.any()]
     finally:
-        env.close(raise_if_closed=False)
+        engine_of(env).close()
     which = f"{policy.stem} policy" if run.kind == "train" else f"number {run.ranked()[0]['index']}"
-    what = f"{which}, {saved.material} stiffness, env-steps 0 to {env.engine.length[0]}"
+    what = f"{which}, {saved.material} stiffness, env-steps 0 to {engine_of(env).length[0]}"
     return gif_uri(frames), f"{arm.title(run)}: {what}"
 
 

@@ -4,12 +4,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from evogymcm.algos.analysis import mean_stiffness
+from evogymcm.algos.codesign.design import Design
 from evogymcm.algos.runs.record import Row, RunRecord
 from evogymcm.body import Body
 from evogymcm.report.figures import fitness_by_generation
 from evogymcm.report.lineage import MOST, ancestors, lineage_svg
 from evogymcm.report.parts import Figure, Fold, Note, Part, Picture, Pictures, Section
-from evogymcm.report.pictures import average_field, body_svg, stiffness_ramp, stiffness_svg, types_svg
+from evogymcm.report.pictures import body_svg, stiffness_ramp, stiffness_svg, types_svg
 from evogymcm.report.sources import Arm
 from evogymcm.report.tables import tasks_of
 
@@ -94,8 +96,8 @@ def _fields(title: str, runs: Sequence[RunRecord]) -> Pictures:
                 pictures.append(Picture(stiffness_svg(field, body.occupancy), caption))
     for designs in chosen.values():
         if len(designs) > 1:
-            mean, counts = average_field(designs)
-            hints = [f"{counts[cell]} of {len(designs)} designs" for cell in zip(*np.nonzero(counts), strict=True)]
+            found = mean_stiffness([Design(*design) for design in designs], least=1, with_intervals=False)
+            hints = [f"{count} of {len(designs)} designs" for count in found.count[found.count > 0]]
             caption = f"average over {len(designs)} of the best designs"
-            pictures.append(Picture(stiffness_svg(mean, counts > 0, hints), caption))
+            pictures.append(Picture(stiffness_svg(found.mean, found.count > 0, hints), caption))
     return Pictures(title, pictures)

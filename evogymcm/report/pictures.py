@@ -6,7 +6,7 @@ from html import escape
 import numpy as np
 from numpy.typing import NDArray
 
-from evogymcm.body import EMPTY, H_ACT, RIGID, SOFT, STIFFNESS_HIGH, STIFFNESS_LOW, V_ACT, Body
+from evogymcm.body import H_ACT, RIGID, SOFT, STIFFNESS_HIGH, STIFFNESS_LOW, V_ACT, Body
 from evogymcm.envs.render import palette
 
 Field = NDArray[np.float64]
@@ -124,18 +124,3 @@ def ramp_svg(colours: Colours, low: float, high: float, labels: Sequence[str], *
 def stiffness_ramp() -> str:
     """Returns the legend of stiffness maps."""
     return ramp_svg(palette.stiffness_colors, STIFFNESS_LOW, STIFFNESS_HIGH, ("0.5", "1", "2"), is_log=True)
-
-
-def average_field(designs: Sequence[tuple[Body, Field]]) -> tuple[Field, NDArray[np.int64]]:
-    """Returns the geometric mean of stiffness in each cell over the designs that have a voxel there, and how many have.
-
-    Args:
-        designs: bodies and their fields, all of one shape.
-    """
-    shapes = {body.shape for body, _ in designs}
-    if len(shapes) != 1:
-        raise ValueError(f"designs: got shapes {sorted(shapes)}, expected exactly one")
-    is_there = np.stack([body.grid != EMPTY for body, _ in designs])
-    logs = np.where(is_there, np.log(np.stack([field for _, field in designs])), 0.0)
-    counts = is_there.sum(0)
-    return np.exp(np.where(counts > 0, logs.sum(0) / counts.clip(1), np.nan)), counts

@@ -53,7 +53,7 @@ class Driver:
 
     Args:
         policy: "sine", "random", "still", "baseline", the folder of a run, one of its files, a file of gaits (.json)
-            with one in it, or a `SavedPolicy`.
+            with one in it or the folder of an evolution, or a `SavedPolicy`.
         task: The task.
         material: "invariant" or "reactive".
 
@@ -65,6 +65,8 @@ class Driver:
     """
 
     def __init__(self, policy: Any, task: Task, material: str) -> None:
+        from evogymcm.algos.gaits.stored import gaits_in
+
         self.task, self.material = task, material
         self.saved: SavedPolicy | None = None
         self._gait: Callable[[int], Gait] | None = None
@@ -72,8 +74,8 @@ class Driver:
             self._baseline = _find_baseline(task, material)
         elif isinstance(policy, str) and policy in _GAITS:
             self._gait = _GAITS[policy]
-        elif isinstance(policy, str | os.PathLike) and Path(policy).suffix == ".json" and Path(policy).is_file():
-            self._gait = _load_gait(Path(policy), material)
+        elif isinstance(policy, str | os.PathLike) and (gaits := gaits_in(policy)) and gaits.is_file():
+            self._gait = _load_gait(gaits, material)
         else:
             self.saved = _load(policy, material)
 

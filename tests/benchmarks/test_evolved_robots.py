@@ -19,6 +19,9 @@ def record(arm, seed, points, **changes):
     } | changes  # fmt: skip
 
 
+PLAIN = {"body": "HHH/H.H", "connections": None, "stiffness": None, "fitness": 1.0}
+
+
 @pytest.mark.parametrize("sizes", [SIZES_B, SIZES_C], ids=["B", "C"])
 def test_arms_have_the_same_budget(sizes):
     for experiment in sizes.values():
@@ -59,6 +62,47 @@ def test_runs_are_compared_where_the_shortest_ends():
     assert "7.00 4.00" in shown
 
 
+def cells(text):
+    """The cells of each line of all tables of a text, by the first two of them."""
+    lines = [[cell.strip() for cell in line.strip("|").split("|")] for line in text.splitlines() if "|" in line]
+    return {tuple(line[:2]): line[2:] for line in lines}
+
+
+def test_best_designs_are_measured_and_compared_by_seed():
+    bodies = {"fixed": ("HHH/H.H", "HHH/HHH"), "reactive": ("H../H..", "HH./HH."), "invariant": ("HHH/H.H", "HHH/HHH")}
+    field = [[0.5, 2.0, 0.5], [2.0, 1.0, 2.0]]
+    runs = [
+        record(arm, i, [[1, 1.0]], best=PLAIN | {"body": body, "stiffness": field if arm == "invariant" else None})
+        for arm in ARMS
+        for i, body in reversed(list(enumerate(bodies[arm])))
+    ]
+    alone = record("reactive", 7, [[100, 1.0]], best=runs[0]["best"])  # without its pair
+    shown = cells(ALL.table(ALL.summarise([*runs, alone])))
+    assert shown["Walker-v0", "fixed"][-6:] == [
+        "5.50 (0.71)", "3.00 (0.00)", "2.00 (0.00)", "1.50 (0.71)", "2.00 (1.41)", "1.50 (0.71)",
+    ]  # fmt: skip
+    assert shown["Walker-v0", "reactive"][0] == "3"
+    gains = shown["Walker-v0", "2"]  # of the table that comes last, invariant minus fixed
+    assert gains[0] == "+0.00 [+0.00, +0.00]"
+    only = cells(ALL.table(ALL.summarise([run for run in runs if run["label"] != "invariant"])))
+    assert only["Walker-v0", "2"][:2] == ["-2.50 [-3.00, -2.00]", "-1.50 [-2.00, -1.00]"]
+    assert only["P, mean over tasks", "2"][0] == "0.00 [0.00, 0.00]"
+    # The middle column over the rest: 2, and sqrt(2). Below over above: 2 over 2^(-1/3), and 2^(2/3) over that.
+    assert shown["Walker-v0", "invariant"] == ["2", "1.68 [1.41, 2.00]", "2", "2.24 [2.00, 2.52]", "2"]
+
+
+def test_the_share_of_policies_that_anticipate():
+    def played(seed, low, high, impacts=20):
+        signals = {"n_impacts": impacts, "rise_interval": (low, high)}
+        return record("reactive", seed, [[100, 1.0]], signals=signals)
+
+    runs = [played(0, 0.1, 0.2), played(1, -0.1, 0.2), played(2, -0.3, -0.1), played(3, 0.1, 0.2, impacts=9)]
+    text = ALL.table(ALL.summarise(runs))
+    assert cells(text)["Walker-v0", "3 of 4"] == ["1", "33% [6%, 79%]", "1", "33% [6%, 79%]"]
+    assert "all tasks" not in text
+    assert "impact" not in ALL.table(ALL.summarise([record("fixed", 0, [[100, 1.0]])]))
+
+
 def test_figures_leave_out_runs_stopped_before_their_first_score(tmp_path):
     image = pytest.importorskip("matplotlib.image")
     early = record("fixed", 0, [[100, 1.0]], best=None, curve=[])
@@ -67,7 +111,9 @@ def test_figures_leave_out_runs_stopped_before_their_first_score(tmp_path):
     assert ALL.summarise([early]) == []
     runs = [record(arm, seed, [[100, 1.0], [200, 2.0 + seed]]) for arm in ARMS for seed in range(2)]
     ALL.plot([early, *runs], tmp_path / "curves.png")
-    for name in ("curves.png", "curves-designs.png"):
+    few = [record("invariant", 0, [[100, 1.0]]), record("fixed", 0, [[100, 1.0]], best=PLAIN)]
+    ALL.plot(few, tmp_path / "few.png")  # too few for a mean in any cell
+    for name in ("curves.png", "curves-designs.png", "curves-stiffness.png", "few-stiffness.png"):
         assert image.imread(tmp_path / name).std() > 0.02
 
 

@@ -126,7 +126,12 @@ def test_a_failed_run_does_not_take_the_others_with_it(tmp_path, monkeypatch, ca
     ("arguments", "n_runs", "env_steps"),
     [
         ("A --ppo.total-steps 300 --ppo.num-worlds 2", 2, 320),
-        ("C --tasks Walker-v0 --codesign.max-env-steps 5000 --codesign.ppo.total-steps 512", 2, None),
+        (
+            "C --tasks Walker-v0 --arms fixed reactive invariant --codesign.max-env-steps 5000"
+            " --codesign.ppo.total-steps 512",
+            3,
+            None,
+        ),
         ("contexts --arms attention mlp --ppo.total-steps 96 --ppo.num-worlds 1", 2, 96),
         ("sharing --bodies 2 --unseen 2 --total-steps 128 --finetune-steps 32 --worlds 1", 2, None),
         ("gaits --short-steps 5000 --held-out 1 --gait.env-steps 6000 --gait.first 4 --gait.trial-steps 50", 3, None),
@@ -149,6 +154,12 @@ def test_a_tiny_experiment_from_end_to_end(arguments, n_runs, env_steps, tmp_pat
     assert json.loads((tmp_path / "run" / "results.json").read_text())["summary"] == results["summary"]
     if arguments[0] == "A":
         _check_signals(tmp_path / "run", results["runs"])
+    if arguments[0] == "C":
+        assert [run["label"] for run in results["runs"] if "signals" in run] == ["reactive"]
+        assert (tmp_path / "run" / "Walker-v0-reactive-seed0" / "signals.json").exists()
+        assert (tmp_path / "run" / "curves-stiffness.png").exists()
+        for head in ("reactive minus fixed", "invariant minus fixed", "searched stiffness", "stiffness before impact"):
+            assert head in first.stdout
 
 
 def _check_signals(folder, runs):

@@ -42,5 +42,5 @@ def test_tables_are_what_the_program_writes_of_the_runs():
         assert path.read_text(encoding="utf-8") == text, f"{path}: run_suite.py write-docs"
     (shown,) = (text for path, text in files.items() if path.name == "results.md")
     assert sorted(re.findall("<!-- end of (.*) -->", shown)) == [folder.name for folder in FOLDERS]
-    figures = re.findall(r"\(img/(.*?)(?:-designs)?\.png\)", shown)
+    figures = re.findall(r"\(img/(.*?)(?:-designs|-stiffness)?\.png\)", shown)
     assert set(figures) <= {folder.name for folder in FOLDERS}

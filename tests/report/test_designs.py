@@ -3,14 +3,13 @@
 import re
 
 import numpy as np
-import pytest
 
 from evogymcm.algos.runs import RunRecord
 from evogymcm.body import Body
 from evogymcm.envs.render import palette
 from evogymcm.report.designs import design_sections
 from evogymcm.report.lineage import ancestors, lineage_svg, shown_by_generation
-from evogymcm.report.pictures import average_field, body_svg, css, stiffness_svg
+from evogymcm.report.pictures import body_svg, css, stiffness_svg
 from evogymcm.report.sources import make_arms, read_source
 
 
@@ -36,17 +35,6 @@ def test_stiffness_map():
     svg = stiffness_svg(np.array([[0.5, 2.0], [1.0, 1.0]]), np.array([[True, True], [False, True]]))
     assert re.findall(r">(\d\.\d\d)<", svg) == ["0.50", "2.00", "1.00"]
     assert css(palette.stiffness_colors(np.array([2.0]))[0]) in svg
-
-
-def test_averages_are_geometric_and_only_over_voxels():
-    designs = [(Body("H./SS"), np.array([[0.5, 1], [2, 1]])), (Body("HV/SS"), np.array([[2, 1.5], [2, 1]]))]
-    mean, counts = average_field(designs)
-    np.testing.assert_allclose(mean, [[1.0, 1.5], [2.0, 1.0]])
-    assert counts.tolist() == [[2, 1], [2, 2]]
-    mean, _ = average_field(designs[:1])
-    assert np.isnan(mean[0, 1])
-    with pytest.raises(ValueError, match="exactly one"):
-        average_field([*designs, (Body("HHH"), np.ones((1, 3)))])
 
 
 def test_the_line_of_the_best():

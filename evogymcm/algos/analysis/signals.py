@@ -28,6 +28,7 @@ _STILL = 1e-3  # a signal whose standard deviation is smaller counts as constant
 _MANY = 3  # windows at least: with one, coherence is 1 for any two signals
 AROUND = 10  # env-steps before and after an impact
 QUIET = 3  # env-steps without contact that make the next contact an impact
+FEWEST = 10  # impacts from which it is told whether a policy anticipates them
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,6 +141,23 @@ class Signals:
         for voxel, row in zip(self.voxels, plain["voxels"], strict=True):
             row["contact"] = voxel.contact.astype(int).tolist()
         return plain | {"summary": _plain(self.summary())}
+
+
+def anticipation(summary: Mapping[str, Any]) -> int | None:
+    """Returns whether a policy stiffens voxels before they hit the ground: 1 for a rise, -1 for a fall, 0 for neither.
+
+    There is a rise where the whole 95 % interval of the stiffness's rise before impact is above zero, see `TouchDown`,
+    and a fall where it is below, both by more than rounding (0.001). By chance one policy in forty would show a rise,
+    and one in forty a fall: the share that falls is a measure for the share that rises. None where an episode has fewer
+    than 10 impacts, or all in the same env-step.
+
+    Args:
+        summary: of `Signals.summary`.
+    """
+    if summary["n_impacts"] < FEWEST or summary["rise_interval"] is None:
+        return None
+    low, high = summary["rise_interval"]
+    return int(low > _STILL) - int(high < -_STILL)
 
 
 def analyse_signals(recording: Recording) -> Signals:

@@ -1,8 +1,9 @@
 """Scores over seeds with their uncertainty: means, differences, chances of improvement, and mean curves.
 
-There is one kind of interval: the 95 % percentile-bootstrap interval with 10,000 resamples. Where several arms or tasks
-count together, seeds are resampled within each of them (strata), as in Agarwal et al., "Deep Reinforcement Learning at
-the Edge of the Statistical Precipice", 2021. Equal input gives equal intervals.
+Intervals are 95 % percentile-bootstrap intervals with 10,000 resamples. Where several arms or tasks count together,
+seeds are resampled within each of them (strata), as in Agarwal et al., "Deep Reinforcement Learning at the Edge of the
+Statistical Precipice", 2021. Equal input gives equal intervals. A share of cases has Wilson's interval instead, since
+a resample of cases that are all alike has no spread.
 
 Scores are sequences, one number a seed; of several tasks, mappings of task to such a sequence.
 """
@@ -10,6 +11,7 @@ Scores are sequences, one number a seed; of several tasks, mappings of task to s
 import functools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from statistics import NormalDist
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -29,6 +31,7 @@ __all__ = [
     "interval_note",
     "normalise",
     "resample",
+    "share",
     "summarise",
 ]
 
@@ -145,18 +148,29 @@ def summarise(values: Sequence[float]) -> Summary:
     return Summary(n, mean, float(np.std(values, ddof=1)), float(low), float(high))
 
 
-def difference(control: Sequence[float], treated: Sequence[float]) -> tuple[float, Interval | None]:
+def difference(
+    control: Sequence[float], treated: Sequence[float], *, is_paired: bool = False
+) -> tuple[float, Interval | None]:
     """Returns the mean of `treated` minus that of `control`, and its interval; None where an arm has a single seed.
 
-    The arms are treated as independent. If their scores are pairs, summarise the differences of the pairs instead.
+    Args:
+        control: one score a seed.
+        treated: one score a seed.
+        is_paired: whether the scores are pairs, in order, such as of equal seeds, and are resampled as pairs; otherwise
+            the arms are treated as independent.
 
     Raises:
-        ValueError: An arm has no score.
+        ValueError: An arm has no score, or pairs are incomplete.
     """
     a, b = _checked("control", control), _checked("treated", treated)
+    if is_paired and len(a) != len(b):
+        raise ValueError(f"control, treated: got {len(a)} and {len(b)} scores, pairs need as many of both")
     gain = float(b.mean() - a.mean())
     if min(len(a), len(b)) < 2:
         return gain, None
+    if is_paired:
+        low, high = bootstrap(b - a)
+        return gain, (float(low), float(high))
     rng = np.random.default_rng(0)
     return gain, _interval(_means(b, rng) - _means(a, rng))
 
@@ -211,6 +225,21 @@ def improvement(control: Scores, treated: Scores) -> tuple[float, Interval | Non
         resamples.append(((_draws(len(a), rng) @ wins) * _draws(len(b), rng)).sum(1) / wins.size)
         most = max(most, *wins.shape)
     return float(np.mean(chances)), _interval(np.mean(resamples, axis=0)) if most > 1 else None
+
+
+def share(cases: int, n: int) -> tuple[float, Interval]:
+    """Returns the share of cases among n independent ones, and its interval after Wilson, 1927.
+
+    Raises:
+        ValueError: There are none, or more cases than n.
+    """
+    if not 0 <= cases <= n or n < 1:
+        raise ValueError(f"cases, n: got {cases} of {n}, expected 0 to n, and n of at least 1")
+    z = NormalDist().inv_cdf((1 + CONFIDENCE) / 2)
+    found = cases / n
+    middle, scale = found + z**2 / (2 * n), 1 + z**2 / n
+    half = z * (found * (1 - found) / n + z**2 / (4 * n**2)) ** 0.5
+    return found, (max(0.0, (middle - half) / scale), min(1.0, (middle + half) / scale))
 
 
 def normalise(scores: Scores, units: Mapping[str, float]) -> dict[str, list[float]]:

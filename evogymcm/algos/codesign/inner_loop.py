@@ -24,7 +24,7 @@ Policy = dict[str, Any]
 MakeEnv = Callable[..., SoftRobotEnv]  # all but bodies, their number and stiffness, and the seed is said already
 
 
-def holding(make_env: MakeEnv, designs: Sequence[Design]) -> partial[SoftRobotEnv]:
+def holding(make_env: Callable[..., Any], designs: Sequence[Design]) -> partial[Any]:
     """Returns what makes environments of designs, for `num_worlds` and `seed`; world w holds design w % D."""
     fields = None if all(design.stiffness is None for design in designs) else [design.field for design in designs]
     return partial(make_env, bodies=[design.body for design in designs], stiffness=fields)

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 from functools import partial
+from typing import Any
 
 import numpy as np
 from tensordict.nn import TensorDictModuleBase
@@ -14,9 +15,12 @@ from evogymcm.algos.learning.actor import Actor, load_actor
 from evogymcm.algos.learning.config import Selection
 from evogymcm.algos.learning.evaluation import draws_of, evaluate, mean_of_rows, mean_work
 from evogymcm.algos.learning.grouping import InGroups
+from evogymcm.algos.learning.playing import Gait
 from evogymcm.algos.learning.stacking import PerDesign
 from evogymcm.algos.learning.threads import limited_threads
 from evogymcm.envs import SoftRobotEnv
+from evogymcm.envs.core import TaskEngine
+from evogymcm.envs.engines import engine_of
 
 
 @dataclass(frozen=True)
@@ -63,9 +67,9 @@ class Scores:
 
 
 def _score(
-    make_env: MakeEnv,
+    make_env: Callable[..., Any],
     designs: Sequence[Design],
-    make_policy: Callable[[SoftRobotEnv], TensorDictModuleBase],
+    make_policy: Callable[[Any], TensorDictModuleBase | Gait],
     seed: int,
     starts: int,
 ) -> Scores:
@@ -74,14 +78,15 @@ def _score(
     env = make(num_worlds=n)
     draws = draws_of(env.task)
     if draws * starts > 1:
-        env.close(raise_if_closed=False)
+        engine_of(env).close()
         env = make(num_worlds=starts * draws * n)
+    engine = engine_of(env)
     try:
-        env.engine.set_seed([seed + world // n % draws for world in range(env.engine.num_worlds)])
+        engine.set_seed([seed + world // n % draws for world in range(engine.num_worlds)])
         with limited_threads(1):
             result = evaluate(make_policy(env), env, starts, start_seed=seed)
     finally:
-        env.close(raise_if_closed=False)
+        engine.close()
     parts = (result.score, result.returns, result.ceiling, result.robust, result.spread)
     score, returns, ceiling, robust, spread = (mean_of_rows(part.reshape(draws, n)) for part in parts)
     work = mean_of_rows(result.work.reshape(draws, n, -1))
@@ -113,6 +118,21 @@ def score_alone(
     if len(policies) != len(designs):
         raise ValueError(f"policies: got {len(policies)}, expected one for each of {len(designs)} designs")
     return _score(make_env, designs, lambda env: InGroups(_actors(policies, env.grid_shape[1])), seed, starts)
+
+
+def score_gaits(
+    make_engine: Callable[..., TaskEngine], designs: Sequence[Design], gaits: Gait, seed: int = 0, starts: int = 1
+) -> Scores:
+    """Scores each design under its gait, as `score_alone` does under a policy.
+
+    Args:
+        make_engine: makes worlds of given bodies, such as `partial(TaskEngine, "Walker-v0", with_voxels=False)`.
+        designs: D designs.
+        gaits: gaits of all of them, world w being driven by gait w % D.
+        seed: see `score_alone`.
+        starts: see `score_alone`.
+    """
+    return _score(make_engine, designs, lambda engine: gaits, seed, starts)
 
 
 def score_together(

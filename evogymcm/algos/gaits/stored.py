@@ -13,6 +13,7 @@ from evogymcm.algos.gaits.search import FoundGaits
 from evogymcm.algos.gaits.wave import Waves
 from evogymcm.algos.learning.bodies import as_texts
 from evogymcm.algos.runs.origin import find_origin
+from evogymcm.algos.runs.record import GAIT
 from evogymcm.body import Body, as_body
 from evogymcm.envs.core import TaskEngine
 
@@ -81,6 +82,7 @@ def save_gaits(
         "edge_rule": edge_rule,
         "gaits": found.waves.settings,
         "values": found.waves.values.tolist(),
+        "cells": None if found.waves.cells is None else found.waves.cells.tolist(),
         "score": found.score.tolist(),
         "env_steps": found.env_steps.tolist(),
         "origin": find_origin(),
@@ -91,19 +93,31 @@ def save_gaits(
 def load_gaits(path: str | os.PathLike[str]) -> SavedGaits:
     """Returns what `save_gaits` wrote.
 
+    Args:
+        path: The file, or the folder of an evolution (`evolve`), whose best design it returns.
+
     Raises:
         ValueError: The file holds no gaits.
         FileNotFoundError: There is no such file.
     """
+    path = gaits_in(path) or Path(path)
     try:
-        told = json.loads(Path(path).read_text(encoding="utf-8"))
+        told = json.loads(path.read_text(encoding="utf-8"))
         if told["kind"] != "gaits":
             raise KeyError("kind")
         bodies, fields = tuple(map(as_body, told["bodies"])), told["stiffness"]
-        waves, score = Waves(told["values"]), tuple(map(float, told["score"]))
+        waves, score = Waves(told["values"], told.get("cells")), tuple(map(float, told["score"]))
         if not len(bodies) == len(waves.values) == len(score):
             raise KeyError("values")
         stiffness = None if fields is None else tuple(np.array(field, np.float64) for field in fields)
         return SavedGaits(told["task"], bodies, waves.material, stiffness, told["edge_rule"], waves, score)
     except (ValueError, KeyError, TypeError, UnicodeDecodeError) as error:
         raise ValueError(f"gaits: {path} cannot be read as gaits: {error!r}") from error
+
+
+def gaits_in(path: str | os.PathLike[str]) -> Path | None:
+    """Returns the file of gaits that is meant by a path, None where it is none: a .json file, or the folder of one."""
+    path = Path(path)
+    if path.suffix == ".json" and not path.is_dir():
+        return path
+    return path / GAIT if (path / GAIT).is_file() else None

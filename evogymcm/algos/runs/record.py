@@ -20,6 +20,7 @@ Kind = Literal["train", "codesign"]
 KINDS: tuple[Kind, ...] = get_args(Kind)
 
 NOT_RECORDED = "not recorded"
+GAIT = "gait.json"  # of the best design of an evolution
 _RESULT, _SIGNALS, _STATE, _FINAL = "result.json", "signals.json", "codesign", "final.pt"
 _IN_OTHER_FILES = ("config", "rows", "signals", "path")
 _LABELS = ("variant", "label", "arm")  # by which experiments compare
@@ -27,6 +28,7 @@ _EVALUATION = (  # see `Evaluation.summary`
     *("score", "return", "episode_length", "goal_rate", "unstable", "steps_to_goal", "fraction_of_ceiling"),
     *("robust_score", "spread", *WORK),
 )
+_EVOLUTION = "evolution"
 _FIRST_PHASES = ("screen", "train")  # of a generation of co-design
 _MATERIALS = {  # of arms, as earlier versions called comparisons of settings
     "reactive": "reactive",
@@ -153,9 +155,10 @@ class RunRecord:
         return designs or ({self.best.get("index", 0): self.best} if self.best else {})
 
     def ranked(self) -> list[Row]:
-        """Returns the rows of the designs that have been scored, best first."""
+        """Returns the rows of the designs that have been scored: the best first, the others by their fitness."""
         told = [row for row in self.designs.values() if row.get("fitness") is not None]
-        return sorted(told, key=lambda row: -row["fitness"])
+        best = None if self.best is None else self.best.get("index")
+        return sorted(told, key=lambda row: (row.get("index") != best, -row["fitness"]))
 
     def design(self, row: Row) -> tuple[Body, np.ndarray]:
         """Returns the body of a design's row, and the stiffness (rows, cols) with which it was simulated."""
@@ -212,7 +215,9 @@ def _record(name: str, told: Row, config: Row, rows: list[dict[str, Any]], files
         path=files.path if files else None,
     )
     count = told.get("n_designs") or (told.get("bodies") if kind == "codesign" else 0)
-    best = record.ranked()[0] if kind == "codesign" and record.ranked() else record.best
+    if not finished or "gait" not in (record.best or {}):  # an evolution's best is not the fittest
+        record = replace(record, best=None)
+    best = record.ranked()[0] if kind == "codesign" and record.ranked() else told.get("best")
     return replace(record, n_designs=max(len(record.designs), int(count or 0)), best=best)
 
 
@@ -242,6 +247,8 @@ def _stiffness(told: Row, config: Row, kind: Kind) -> Any:
 def _is_finished(files: RunFiles) -> bool:
     """Whether co-design has used a budget and done all phases of its last generation, by the state that it saved."""
     try:
+        if (evolved := files.load(_EVOLUTION)) is not None:
+            return bool(evolved["is_finished"])
         state = files.load(_STATE)
         if state is None or state["phase"] not in _FIRST_PHASES:  # None: killed in its first phase
             return False

@@ -10,7 +10,7 @@ import torch
 
 import evogymcm as cm
 from evogymcm.algos import evaluate, make_actor
-from evogymcm.algos.analysis import GroundContact, Recording, analyse_signals, record_episode
+from evogymcm.algos.analysis import GroundContact, Recording, analyse_signals, anticipation, record_episode
 from evogymcm.algos.analysis.signals import STEP_SECONDS
 from evogymcm.envs import SoftRobotEnv, TaskEngine
 from evogymcm.sim.world import World
@@ -112,6 +112,15 @@ def test_a_rise_before_impact_is_measured(rise):
     assert down.stiffness[np.isin(down.lags, [-3, -2, -1, 0])] == pytest.approx(1 + rise, abs=0.1)
     assert down.stiffness[down.lags > 0] == pytest.approx(1, abs=0.1)
     assert down.rise_rank > 0.95 if rise > 0 else down.rise_rank < 0.05
+
+
+@pytest.mark.parametrize(
+    ("landings", "rise", "noise", "sign"),
+    [(20, 0.4, 0.1, 1), (20, -0.4, 0.1, -1), (20, 0.0, 0.1, 0), (20, 0.0005, 0.0, 0), (9, 0.4, 0.1, None)],
+)
+def test_anticipation_is_a_rise_whose_interval_is_above_zero(landings, rise, noise, sign):
+    recording = _landings(np.arange(30, 470, 22)[:landings], rise, noise=noise)
+    assert anticipation(analyse_signals(recording).summary()) == sign
 
 
 def test_a_rise_after_impact_is_none_before():

@@ -14,6 +14,7 @@ from evogymcm.algos.analysis import (
     interval_note,
     normalise,
     resample,
+    share,
     summarise,
 )
 
@@ -111,6 +112,25 @@ def test_probability_of_improvement():
     assert chance == pytest.approx((3.5 / 4 + 0) / 2)
     assert 0 <= low <= chance <= high <= 0.5
     assert improvement({"a": [1, 2]}, {"a": [3, 4]}) == (1.0, (1.0, 1.0))
+
+
+def test_pairs_are_resampled_as_pairs():
+    control, treated = [1.0, 5.0, 9.0], [2.0, 6.5, 10.0]
+    gain, interval = difference(control, treated, is_paired=True)
+    assert gain == pytest.approx(3.5 / 3)
+    assert interval == (1.0, 1.5)
+    assert difference(control, treated)[1][0] < 0  # as independent arms their spread hides the gain
+    with pytest.raises(ValueError, match="got 3 and 2 scores, pairs"):
+        difference(control, [1.0, 2.0], is_paired=True)
+
+
+def test_shares_have_wilsons_interval():
+    assert share(5, 10) == (0.5, pytest.approx((0.2366, 0.7634), abs=1e-4))
+    assert share(0, 10) == (0.0, pytest.approx((0.0, 0.2775), abs=1e-4))
+    assert share(3, 3) == (1.0, pytest.approx((0.4385, 1.0), abs=1e-4))
+    for cases, n in ((0, 0), (3, 2), (-1, 2)):
+        with pytest.raises(ValueError, match=f"got {cases} of {n}"):
+            share(cases, n)
 
 
 def test_scores_that_are_not_there_are_refused():

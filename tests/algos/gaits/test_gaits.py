@@ -164,3 +164,23 @@ def test_bad_input_says_so():
             GaitConfig(**{name: value})
     with pytest.raises(ValueError, match="stiffness"):
         search_gaits("Walker-v0", BODIES[0], TINY, stiffness=[np.full((2, 3), 9.0)])
+
+
+def test_voxels_may_have_a_phase_an_offset_and_a_level_of_their_own():
+    engine = TaskEngine("Walker-v0", ["HHS/V.V"], 2, material="reactive")
+    cells = np.zeros((1, 3, 2, 3))
+    plain, same = Waves(np.zeros((1, 14)))(engine), Waves(np.zeros((1, 14)), cells)(engine)
+    assert all(np.array_equal(*pair) for pair in zip(plain, same, strict=True))
+    cells[0, 0, 0, 1], cells[0, 1, 1, 0], cells[0, 2, 0, 2] = 0.5, -0.5, 1.0
+    actuation, stiffness = Waves(np.zeros((1, 14)), cells)(engine)
+    assert actuation[1, 1] == pytest.approx(1.1 + 0.5 * min(1.5 * math.sin(1.0), 1.0), abs=1e-12)
+    assert actuation[1, 3] == pytest.approx(1.1 - 0.5 * 0.3, abs=1e-12)
+    assert actuation[1, 0] == plain[0][1, 0]
+    assert stiffness[0, 2] == pytest.approx(2**0.6, abs=1e-12)
+    assert stiffness[0, 1] == 1.0
+    with pytest.raises(ValueError, match=r"grid of \(1, 6\)"):
+        Waves(np.zeros((1, 14)), cells.reshape(1, 3, 1, 6))(engine)
+    for wrong in (cells[:, :2], cells[0], np.full_like(cells, np.nan)):
+        with pytest.raises(ValueError, match="cells: got"):
+            Waves(np.zeros((1, 14)), wrong)
+    engine.close()
