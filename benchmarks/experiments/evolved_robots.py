@@ -29,6 +29,7 @@ _BASE = CodesignConfig(
     budget=1000,
     max_env_steps=600_000,
     finetune_steps=4_096,
+    piece=None,  # runs go side by side, each on one core, where one batch is fastest
     ppo=BodyPPOConfig(total_steps=25_000),
 )
 
@@ -49,7 +50,7 @@ class CodesignJob:
         """Searches in `folder / name` and returns all numbers of the run, and those of a gait that sets stiffness."""
         run = RunFolder(folder / self.name, {"label": self.arm, **asdict(self.config)}, resume=resume)
         told = {"progress": lambda state: tell(state.env_steps, state.best), "should_stop": should_stop}
-        result = codesign(self.config, run=run, **told)
+        result = codesign(self.config, run=run, workers=1, **told)
         record = RunRecord.read(run.path).as_dict()
         record["best_return"] = max((row["return"] for row in result.rows), default=None)
         if result.finished and self.config.material == "reactive":

@@ -63,6 +63,7 @@ class Options:
         run: folder of the run.
         resume: continue the run in the folder.
         overwrite: replace the run in the folder.
+        workers: processes over which the pieces of a generation spread; the result does not depend on them.
     """
 
     config: Annotated[Settings, arg(name="")]
@@ -73,6 +74,9 @@ class Options:
     ] = None
     resume: bool = False
     overwrite: bool = False
+    workers: Annotated[
+        int | None, arg(metavar="INT", help_behavior_hint="(default: as many as there are cores, 1 for a short run)")
+    ] = None
 
 
 def in_present_words(arguments: Sequence[str]) -> list[str]:
@@ -107,11 +111,13 @@ def config_of(options: Options, arguments: Sequence[str]) -> CodesignConfig:
 def run(options: Options, arguments: Sequence[str]) -> int:
     """Evolves and returns the exit status."""
     from evogymcm.algos.codesign import codesign, cost_of
+    from evogymcm.algos.codesign.codesigning import count_workers
     from evogymcm.algos.codesign.start import check_start
     from evogymcm.algos.learning import keep_freed_memory
 
     with checking_arguments():
         config = config_of(options, arguments)
+        workers = count_workers(config, options.workers)
         check_start(config)
         path = options.run or Path("runs") / f"{Path(config.task).stem}-codesign-{config.material}-seed{config.seed}"
         folder = open_run(path, asdict(config), resume=options.resume, overwrite=options.overwrite)
@@ -120,11 +126,13 @@ def run(options: Options, arguments: Sequence[str]) -> int:
     parts = ", ".join(f"{name} {steps:,}" for name, steps in asdict(cost).items() if steps)
     kind = config.material + (", with a search of stiffness" if config.search else "")
     print(f"{config.budget} bodies, {kind}: at most {cost.total:,} env-steps ({parts})", flush=True)
+    if workers > 1:
+        print(f"spread over {workers} processes", flush=True)
     if limit < cost.total:
         print(f"ends with the generation in which {limit:,} env-steps are reached", flush=True)
     with Bar(limit) as bar:
         keep_freed_memory()
-        result = codesign(config, run=folder, progress=lambda state: _show(bar, state))
+        result = codesign(config, run=folder, progress=lambda state: _show(bar, state), workers=workers)
         if result.finished and result.best is not None:  # with what scoring has done since the last update
             bar.show(result.env_steps, {"best": f"{result.best.fitness:.3f}"})
     if result.best is not None:

@@ -18,6 +18,7 @@ SMALL = CodesignConfig(  # some minutes
     population=6,
     budget=24,
     inherit=True,
+    piece=None,  # one batch, whose worlds are simulated by several threads
     num_threads=max(1, usable_cores() - 1),
     ppo=BodyPPOConfig(total_steps=20_000, eval_interval=5_000),
 )
@@ -64,7 +65,9 @@ class Evolution(Job):
         from evogymcm.algos.learning.memory import keep_freed_memory
 
         keep_freed_memory()
-        return codesign(self.config, run=run, progress=lambda now: tell(vars(now)), should_stop=should_stop).finished
+        return codesign(
+            self.config, run=run, progress=lambda now: tell(vars(now)), should_stop=should_stop, workers=1
+        ).finished
 
     @property
     def has_finished(self) -> bool:

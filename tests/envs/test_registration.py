@@ -125,6 +125,13 @@ def executor(task):
     print([result.best.fitness])
 
 
+def workers(task):
+    from evogymcm.algos import codesign
+
+    config = codesign.CodesignConfig("Mine-v0", shape=(2, 2), population=2, budget=2, ppo=PPO, piece=1)
+    print([codesign.codesign(config, workers=2).best.fitness])
+
+
 if __name__ == "__main__":  # so that workers do not register it
     USE(cm.register_task(Mine("Mine-v0", world="Walker-v0", spawn=(1, 1), time_limit=2, observes=("velocity",))))
 """
@@ -136,6 +143,7 @@ if __name__ == "__main__":  # so that workers do not register it
         "vector",
         pytest.param("torchrl", marks=pytest.mark.slow),
         pytest.param("executor", marks=pytest.mark.slow),
+        pytest.param("workers", marks=pytest.mark.slow),
     ],
 )
 def test_a_task_of_the_main_module_works_in_spawned_workers(tmp_path, use):

@@ -4,21 +4,28 @@ In the reactive setting bodies evolve, and policies set stiffness; in the invari
 stiffness, or with stiffness fields of their own, by material search and fine-tuning of survivors.
 """
 
+import math
 import os
-from collections.abc import Callable
-from contextlib import nullcontext
+from collections.abc import Callable, Iterator
+from concurrent.futures import Executor
+from contextlib import contextmanager, nullcontext
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
-from evogymcm._settings import WORK
+from evogymcm._settings import WORK, check_count
 from evogymcm.algos.codesign.config import CodesignConfig
+from evogymcm.algos.codesign.crew import check_executor
 from evogymcm.algos.codesign.design import Individual
 from evogymcm.algos.codesign.inner_loop import Policy
+from evogymcm.algos.codesign.plan import cost_of, pieces
 from evogymcm.algos.codesign.run import Codesign, CodesignProgress
 from evogymcm.algos.codesign.start import check_start
+from evogymcm.algos.codesign.workers import Workers
 from evogymcm.algos.runs.folder import RunFolder, stop_on_interrupt
-from evogymcm.algos.runs.origin import find_origin
+from evogymcm.algos.runs.origin import find_origin, usable_cores
 from evogymcm.algos.runs.record import RunRecord, best_curve
+
+_WORTH_WORKERS = 200_000  # env-steps; processes take some seconds to start
 
 
 @dataclass(frozen=True)
@@ -46,10 +53,13 @@ def codesign(
     run: RunFolder | str | os.PathLike[str] | None = None,
     progress: Callable[[CodesignProgress], None] | None = None,
     should_stop: Callable[[], bool] | None = None,
+    workers: int | None = None,
+    executor: Executor | None = None,
 ) -> CodesignResult:
     """Runs co-design to the end of its budget, and returns the best design with its policy.
 
-    The same settings and seed give the same result, whether or not the run was stopped and resumed in between.
+    The same settings and seed give the same result, to the last bit, with any workers, and whether or not the run was
+    stopped and resumed in between. A worker that dies costs the pieces that it was at, which others go on with.
 
     Args:
         config: settings of the run.
@@ -58,21 +68,38 @@ def codesign(
         progress: called after every update of a policy and every round of a search.
         should_stop: called as often; the run stops if it returns True. By default Ctrl-C stops it after the current
             update.
+        workers: processes of this machine over which the pieces of a generation spread, see `CodesignConfig.piece`; 1
+            does them in this process. By default as many as it has cores, and 1 for a run of seconds.
+        executor: any `concurrent.futures.Executor`, of Dask's or Ray's cluster too, over which they spread instead. Its
+            workers should see the run's folder: otherwise pieces begin anew where they were stopped.
 
     Raises:
         ValueError: A run with these settings cannot start: there is no such task, or a body that fills the shape does
-            not fit into its world. Nothing has been simulated then.
+            not fit into its world; or both workers and an executor are given. Nothing has been simulated then.
+        RuntimeError: Several workers died at the same piece.
         ImportError: The package of the method or of the search's proposals is missing.
     """
+    with _spreading(config, workers, executor) as spread:
+        return _codesign(config, run, progress, should_stop, spread)
+
+
+def _codesign(
+    config: CodesignConfig,
+    run: RunFolder | str | os.PathLike[str] | None,
+    progress: Callable[[CodesignProgress], None] | None,
+    should_stop: Callable[[], bool] | None,
+    executor: Executor | None,
+) -> CodesignResult:
+    """Runs co-design on an executor, or in this process alone."""
     if run is None:
-        return _to_the_end(Codesign(config), progress, should_stop)
+        return _to_the_end(Codesign(config, executor=executor), progress, should_stop)
     settings = asdict(config)
     if not isinstance(run, RunFolder):
         check_start(config)  # before there is a folder
         run = RunFolder(run, settings, resume=True)
     run.check_settings(settings)
     with run.lock():
-        state = Codesign(config, run)
+        state = Codesign(config, run, executor=executor)
         stiffness = None if config.material == "reactive" or config.search else config.stiffness
         record = RunRecord(
             "codesign",
@@ -96,6 +123,35 @@ def codesign(
             n_designs=len({row["index"] for row in result.rows}),
         ).write(run)
     return result
+
+
+def count_workers(config: CodesignConfig, workers: int | None) -> int:
+    """Returns over how many processes a run spreads: as many as are wanted, but no more than have something to do.
+
+    Raises:
+        ValueError: The number is none, or there is no such task.
+    """
+    if workers is not None:
+        wanted = check_count("workers", workers)
+    else:
+        steps = min(cost_of(config).total, config.max_env_steps or math.inf)
+        wanted = usable_cores() if steps >= _WORTH_WORKERS else 1
+    return min(wanted, len(pieces(config.population, config.piece)))
+
+
+@contextmanager
+def _spreading(config: CodesignConfig, workers: int | None, executor: Executor | None) -> Iterator[Executor | None]:
+    """Yields what pieces spread over, None for this process alone."""
+    if executor is not None:
+        if workers is not None:
+            raise ValueError(f"workers: got {workers} beside an executor, which has its own; only one can be given")
+        check_executor(executor)
+        yield executor
+    elif (count := count_workers(config, workers)) == 1:
+        yield None
+    else:
+        with Workers(count) as own:
+            yield own
 
 
 def _to_the_end(

@@ -150,6 +150,8 @@ class CodesignConfig:
             `ppo` says which policy of a training is the best one.
         ppo: settings of the inner loop for one body. `sharing` says whether the bodies of a generation have policies of
             their own ("independent") or share one; seeds and schedules come from the run and are not set here.
+        piece: designs of a generation that are worked on in one batch, independently of all others: what a worker takes
+            at a time, see `codesign`. More take less time together, and leave less to spread; None takes all at once.
         seed: seed of all random draws: bodies, mutations, weights and exploration.
         num_threads: threads of the simulator; None for all cores.
 
@@ -183,6 +185,7 @@ class CodesignConfig:
     eval_starts: int = 1
     selection: Selection = "score"
     ppo: BodyPPOConfig = field(default_factory=BodyPPOConfig)
+    piece: int | None = 4
     seed: int = 0
     num_threads: int | None = 1
 

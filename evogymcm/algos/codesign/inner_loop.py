@@ -47,6 +47,13 @@ class Trained:
     env_steps: int
     finished: bool
 
+    @classmethod
+    def joined(cls, parts: Sequence["Trained"]) -> "Trained":
+        """Returns the outcome of designs that were trained in several parts, each to its end."""
+        best, last = ([policy for part in parts for policy in getattr(part, name)] for name in ("best", "last"))
+        scores = np.concatenate([part.scores for part in parts])
+        return cls(best, last, scores, sum(part.env_steps for part in parts), True)
+
 
 def train_designs(
     make_env: MakeEnv,

@@ -4,7 +4,8 @@
         for folder, result in codesign_all(configs, Path("runs"), executor): ...
 
 With Dask, `Client(...).get_executor(pure=False)` is an executor; with Ray, `RayExecutor()`. Workers must see the same
-file system; several threads in one are as good as several workers.
+file system; several threads in one are as good as several workers. The pieces of one run spread over the same
+executors, see `codesign`.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -16,6 +17,7 @@ from typing import Any
 from evogymcm._extras import load_extra
 from evogymcm.algos.codesign.codesigning import CodesignResult, codesign
 from evogymcm.algos.codesign.config import CodesignConfig
+from evogymcm.algos.codesign.crew import check_executor
 from evogymcm.algos.codesign.start import check_start
 from evogymcm.envs.tasks import Task, as_task, register_task
 
@@ -27,7 +29,7 @@ def codesign_in(folder: Path, config: CodesignConfig, task: Task | None = None) 
     """
     if task is not None and task.id == config.task:  # the file of a world has no id
         register_task(task, replace=True)
-    return codesign(config, run=folder, should_stop=lambda: False)
+    return codesign(config, run=folder, should_stop=lambda: False, workers=1)
 
 
 def codesign_all(
@@ -46,8 +48,7 @@ def codesign_all(
         ValueError: a run cannot start, see `codesign`; then none has started.
         Exception: the error of a run, after the results of those that ended before it were yielded.
     """
-    if not callable(getattr(executor, "submit", None)):
-        raise ValueError(f"executor: got {executor!r}, expected a concurrent.futures.Executor")
+    check_executor(executor)
     for name, config in configs.items():
         try:
             check_start(config)

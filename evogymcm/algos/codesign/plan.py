@@ -26,6 +26,11 @@ class Training:
     kept: int | None = None  # go on to the next training of the generation; None after the last one
 
 
+def pieces(count: int, size: int | None) -> list[slice]:
+    """Returns which of `count` designs are worked on together: `size` in a piece, all for None."""
+    return [slice(begin, begin + (size or count)) for begin in range(0, count, size or count)]
+
+
 def generations(config: CodesignConfig) -> Iterator[tuple[int, int]]:
     """Yields the new bodies of each generation, the first one first, and the most that survive it and are worked on."""
     done = survivors = 0

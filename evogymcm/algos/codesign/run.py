@@ -1,24 +1,27 @@
 """One run of co-design, phase by phase: the outer loops of EvoGymCM, with their ablations."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from concurrent.futures import Executor
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
 
 import numpy as np
 
 from evogymcm.algos.codesign.config import CodesignConfig
+from evogymcm.algos.codesign.crew import Crew, Piece
 from evogymcm.algos.codesign.design import Design, Individual
 from evogymcm.algos.codesign.genetic import GeneticAlgorithm
-from evogymcm.algos.codesign.inner_loop import Policy, Trained, train_designs
+from evogymcm.algos.codesign.inner_loop import Policy, Trained
 from evogymcm.algos.codesign.ledger import Ledger
-from evogymcm.algos.codesign.material_search import MaterialSearch
-from evogymcm.algos.codesign.plan import Training, finetuning, phases, search_seed, trainings
-from evogymcm.algos.codesign.scoring import Scores, score_alone, score_proposals, score_together
+from evogymcm.algos.codesign.pieces import Place, score_piece, screen_piece, search_piece, train_piece
+from evogymcm.algos.codesign.plan import Training, derived_seed, finetuning, phases, pieces, search_seed, trainings
+from evogymcm.algos.codesign.scoring import Scores
 from evogymcm.algos.codesign.start import check_start, env_maker, make_body_search
 from evogymcm.algos.learning.initial import exploring, following, initial_policy
 from evogymcm.algos.runs.folder import RunFolder
 
 _STATE = "codesign"
-_SCREENED = 8  # mutants of a child that are played at a time, between looks whether to stop
 
 
 @dataclass(frozen=True)
@@ -51,6 +54,7 @@ class Codesign:
     Args:
         config: settings.
         run: where everything is kept; None keeps it in memory.
+        executor: whose workers do the pieces of a generation, see `codesign`; None does them here, one after another.
 
     Attributes:
         config: settings, with networks of the form that policies begin with.
@@ -61,13 +65,18 @@ class Codesign:
         ImportError: A package that they need is missing.
     """
 
-    def __init__(self, config: CodesignConfig, run: RunFolder | None = None) -> None:
+    def __init__(
+        self, config: CodesignConfig, run: RunFolder | None = None, *, executor: Executor | None = None
+    ) -> None:
         check_start(config)
         self.began, self._first = initial_policy(config.initial, config.task, config.material, config.ppo)
         if self._first is not None:
             config = replace(config, ppo=following(config.ppo, self._first))
+        if executor is not None and config.num_threads is None:
+            config = replace(config, num_threads=1)  # workers share the cores
         self.config, self.run = config, run
         self.make_env, self.body_search = env_maker(config), make_body_search(config)
+        self._crew = Crew(executor, run.path if run else None)
         self.env_steps, self.phase = 0, "train"
         self.ledger = Ledger(run)
         self._tell: Callable[[CodesignProgress], None] = lambda progress: None
@@ -127,24 +136,29 @@ class Codesign:
         """Returns their designs as they are simulated."""
         return [individual.design.at(self.config.stiffness) for individual in individuals]
 
+    def _do(self, pieces: Sequence[Piece], spent: int = 0) -> list[Any] | None:
+        """Does pieces of a phase, None where that was stopped; `spent` env-steps of the phase have gone before."""
+        return self._crew.do(pieces, lambda steps: self._report(spent + steps), self._is_stopped)
+
     def _learn(
         self, training: Training, designs: list[Design], initial: list[Policy] | None, spent: int = 0
-    ) -> Trained:
-        """Trains designs together; `spent` env-steps of the phase have gone before."""
-        folder = None
-        if self.run:
-            path = self.run.path / f"generation-{self.generation:03}" / training.name
-            settings = {"generation": self.generation, "phase": training.name, "seed": training.ppo.seed}
-            folder = RunFolder(path, settings, resume=path.exists())
-        return train_designs(
-            self.make_env,
-            designs,
-            training.ppo,
-            run=folder,
-            initial=initial,
-            progress=lambda state: self._report(spent + state.env_steps),
-            should_stop=self._is_stopped,
-        )
+    ) -> Trained | None:
+        """Trains designs, None where that was stopped; `spent` env-steps of the phase have gone before."""
+        size = self.config.piece if training.ppo.sharing == "independent" else None
+        works = []
+        for number, part in enumerate(pieces(len(designs), size)):
+            ppo, place = training.ppo, None
+            if size is not None:
+                ppo = replace(ppo, seed=derived_seed(ppo.seed, number))
+            if self.run:
+                name = f"generation-{self.generation:03}/{training.name}"
+                name += "" if size is None else f"/piece-{number:03}"
+                settings = {"generation": self.generation, "phase": training.name, "seed": ppo.seed}
+                place = Place(self.run.path.resolve(), name, settings)
+            start = None if initial is None else initial[part]
+            works.append(partial(train_piece, self.make_env, designs[part], ppo, start, place))
+        parts = self._do(works, spent)
+        return None if parts is None else Trained.joined(parts)
 
     def _initial(self, new: list[Individual]) -> list[Policy] | None:
         """Returns the policies that new individuals start from, None for fresh ones."""
@@ -161,16 +175,12 @@ class Codesign:
         mutants = self.body_search.mutants(self.config.mutants)
         policies = [self.ledger.policy(index) for group in mutants if (index := group[0].parent) is not None]
         designs = [self._designs(group) for group in mutants]
-        scores, steps = [], 0
-        for begin in range(0, self.config.mutants, _SCREENED):
-            if self._is_stopped():
-                return False  # no more than a screening is lost
-            some = score_together(self.make_env, [group[begin : begin + _SCREENED] for group in designs], policies)
-            scores.append(some.score)
-            steps += some.env_steps
-            self._report(steps)
-        self.body_search.choose(np.concatenate(scores, axis=1))
-        self.env_steps += steps
+        places = pieces(len(designs), self.config.piece)
+        parts = self._do([partial(screen_piece, self.make_env, designs[part], policies[part]) for part in places])
+        if parts is None:
+            return False
+        self.body_search.choose(np.concatenate([part.scores for part in parts]))
+        self.env_steps += sum(part.env_steps for part in parts)
         return True
 
     def _train(self) -> bool:
@@ -180,7 +190,7 @@ class Codesign:
         scores, policies = [-np.inf] * len(new), dict[int, Policy]()
         for training in trainings(self.config, generation, len(new)):
             trained = self._learn(training, [designs[i] for i in going], start, steps)
-            if not trained.finished:
+            if trained is None:
                 return False
             steps += trained.env_steps
             for i, policy, score in zip(going, trained.best, trained.scores.tolist(), strict=True):
@@ -189,7 +199,9 @@ class Codesign:
             last = dict(zip(going, trained.last, strict=True))
             going = sorted(sorted(going, key=lambda i: -scores[i])[: training.kept])
             start = [last[i] for i in going]
-        alone = self._score_alone(designs, [policies[i] for i in range(len(new))])
+        alone = self._score_alone(designs, [policies[i] for i in range(len(new))], steps)
+        if alone is None:
+            return False
         self.env_steps += steps + alone.env_steps
         fitness = alone.by(self.config.selection).tolist()
         self.body_search.tell({individual.index: fitness[i] for i, individual in enumerate(new)})
@@ -201,21 +213,27 @@ class Codesign:
 
     def _search_materials(self) -> bool:
         """Searches the survivors' stiffness fields under their present policies."""
-        assert self.config.search is not None
-        survivors = self.body_search.survivors
+        config, survivors = self.config, self.body_search.survivors
+        assert config.search is not None
         policies = [self.ledger.policy(individual.index) for individual in survivors]
-        seed = search_seed(self.config, self.generation)
-        search = MaterialSearch(survivors, seed=seed, **asdict(self.config.search))
-        told, steps, chosen = dict[int, dict[str, float]](), 0, (self.config.eval_starts, self.config.selection)
-        while not search.is_finished:
-            if self._is_stopped():
-                return False  # no more than a search is lost
-            scores, rows, spent = score_proposals(self.make_env, search, policies, *chosen)
-            told |= {survivors[i].index: rows[i] for i in np.flatnonzero(search.tell(scores)).tolist()}
-            steps += spent
-            self._report(steps)
-        self.env_steps += steps
-        for individual, stiffness, score in zip(survivors, *search.best, strict=True):
+        search = partial(
+            search_piece,
+            self.make_env,
+            config=config.search,
+            seed=search_seed(config, self.generation),
+            starts=config.eval_starts,
+            selection=config.selection,
+        )
+        places = pieces(len(survivors), config.piece)
+        parts = self._do([partial(search, survivors[part], policies[part]) for part in places])
+        if parts is None:
+            return False
+        told = dict[int, dict[str, float]]()
+        for part in parts:
+            told |= part.told
+            self.env_steps += part.env_steps
+        fields, scores = (np.concatenate([getattr(part, name) for part in parts]) for name in ("fields", "scores"))
+        for individual, stiffness, score in zip(survivors, fields, scores, strict=True):
             assert individual.fitness is not None
             if score > individual.fitness or not np.array_equal(stiffness, individual.design.field):
                 self.body_search.update(individual.index, stiffness=stiffness, fitness=float(score))
@@ -228,9 +246,11 @@ class Codesign:
         designs = self._designs(survivors)
         start = [self.ledger.policy(individual.index) for individual in survivors]
         trained = self._learn(finetuning(self.config, self.generation, len(survivors)), designs, start)
-        if not trained.finished:
+        if trained is None:
             return False
-        alone = self._score_alone(designs, trained.best)
+        alone = self._score_alone(designs, trained.best, trained.env_steps)
+        if alone is None:
+            return False
         self.env_steps += trained.env_steps + alone.env_steps
         told = dict[int, dict[str, float]]()
         fitness = alone.by(self.config.selection).tolist()
@@ -243,8 +263,14 @@ class Codesign:
         self._record_survivors(told)
         return True
 
-    def _score_alone(self, designs: list[Design], policies: list[Policy]) -> Scores:
-        return score_alone(self.make_env, designs, policies, starts=self.config.eval_starts)
+    def _score_alone(self, designs: list[Design], policies: list[Policy], spent: int) -> Scores | None:
+        """Scores designs as if each were alone, None where that was stopped."""
+        works = [
+            partial(score_piece, self.make_env, designs[part], policies[part], self.config.eval_starts)
+            for part in pieces(len(designs), self.config.piece)
+        ]
+        parts = self._do(works, spent)
+        return None if parts is None else Scores.joined(parts)
 
     def _record_survivors(self, told: Mapping[int, Mapping[str, float]]) -> None:
         """Adds rows of the present phase; `told` is what is new of individuals, by their index."""

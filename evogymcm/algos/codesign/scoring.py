@@ -1,7 +1,7 @@
 """Scores of designs under their policies: each by itself to the last bit, or many in one batch."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import partial
 from typing import Any
 
@@ -46,6 +46,13 @@ class Scores:
     robust: np.ndarray
     spread: np.ndarray
     work: np.ndarray
+
+    @classmethod
+    def joined(cls, parts: Sequence["Scores"]) -> "Scores":
+        """Returns the scores of designs that were scored in several parts."""
+        told = {item.name: [getattr(part, item.name) for part in parts] for item in fields(cls)}
+        env_steps = sum(told.pop("env_steps"))
+        return cls(**{name: np.concatenate(values) for name, values in told.items()}, env_steps=env_steps)
 
     def by(self, selection: Selection) -> np.ndarray:
         """Returns what designs are selected by, (D,)."""

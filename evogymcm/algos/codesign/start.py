@@ -14,6 +14,7 @@ from evogymcm.algos.codesign.random_search import RandomSearch
 from evogymcm.algos.learning.initial import find_initial
 from evogymcm.body import H_ACT, Body
 from evogymcm.envs import SoftRobotEnv
+from evogymcm.envs.tasks import as_task
 
 _METHODS: dict[str, type[DesignSearch]] = {"ga": GeneticAlgorithm, "random": RandomSearch, "qd": MapElites}
 
@@ -28,10 +29,10 @@ def make_body_search(config: CodesignConfig) -> DesignSearch:
 
 
 def env_maker(config: CodesignConfig) -> partial[SoftRobotEnv]:
-    """Returns what makes the run's environments, see `train_designs`."""
+    """Returns what makes the run's environments, see `train_designs`, in a process that has not its task too."""
     names = ("material", "edge_rule", "work_weight", "num_threads")
     options: dict[str, Any] = {name: getattr(config, name) for name in names}
-    return partial(SoftRobotEnv, config.task, **options)
+    return partial(SoftRobotEnv, as_task(config.task), **options)
 
 
 def check_start(config: CodesignConfig) -> None:

@@ -164,7 +164,7 @@ def test_children_are_the_best_mutants_under_their_parents_policy(config, tmp_pa
         played.append((mutants, policies, scores.score))
         return scores
 
-    monkeypatch.setattr("evogymcm.algos.codesign.run.score_together", spy)
+    monkeypatch.setattr("evogymcm.algos.codesign.pieces.score_together", spy)
     seen = []
     result = codesign(config, run=RunFolder(tmp_path / "run", {}), progress=seen.append)
     assert [len(mutants[0]) for mutants, _, _ in played] == [8, 2, 8, 2]
