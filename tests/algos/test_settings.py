@@ -42,6 +42,7 @@ OPTIONAL = {
     "inherit_std",
     "finetune_steps",
     "num_threads",
+    "piece",
     "work_weight",
 }
 
