@@ -127,8 +127,8 @@ def test_a_failed_run_does_not_take_the_others_with_it(tmp_path, monkeypatch, ca
     [
         ("A --ppo.total-steps 300 --ppo.num-worlds 2", 2, 320),
         (
-            "C --tasks Walker-v0 --arms fixed reactive invariant --codesign.max-env-steps 5000"
-            " --codesign.ppo.total-steps 512",
+            "C --tasks Walker-v0 --arms fixed reactive invariant --codesign.population 3 --codesign.max-env-steps 2000"
+            " --codesign.ppo.total-steps 256",
             3,
             None,
         ),
@@ -157,7 +157,6 @@ def test_a_tiny_experiment_from_end_to_end(arguments, n_runs, env_steps, tmp_pat
     if arguments[0] == "C":
         assert [run["label"] for run in results["runs"] if "signals" in run] == ["reactive"]
         assert (tmp_path / "run" / "Walker-v0-reactive-seed0" / "signals.json").exists()
-        assert (tmp_path / "run" / "curves-stiffness.png").exists()
         for head in ("reactive minus fixed", "invariant minus fixed", "searched stiffness", "stiffness before impact"):
             assert head in first.stdout
 

@@ -21,7 +21,8 @@ def of_arm(arm: str, prescribed: Any, search: Any) -> dict[str, Any]:
 def present_settings(config: Mapping[str, Any]) -> Mapping[str, Any]:
     """Returns the saved settings of a run as a run of today has them."""
     config = _with_starts(config)
-    if "budget" in config or isinstance(config.get("bodies"), list):  # co-design and training
+    is_training = isinstance(config.get("bodies"), list) and config.keys() & {"ppo", "total_steps"}
+    if "budget" in config or is_training:
         config = {"initial": "fresh", **config}
     if not {"arm", "prescribed", "search"} <= config.keys():
         return config
