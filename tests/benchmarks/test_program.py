@@ -148,6 +148,8 @@ def test_a_tiny_experiment_from_end_to_end(arguments, n_runs, env_steps, tmp_pat
     assert (tmp_path / "run" / "table.md").read_text() in first.stdout
     assert parse_command(results["command"]).settings() == results["suite"]
     assert (tmp_path / "run" / "curves.png").exists()
+    if arguments[0] in ("sharing", "contexts"):
+        return  # what follows is the same for all experiments
     assert program(*arguments).returncode == 2
     again = program(*arguments, "--resume")
     assert again.returncode == 0, again.stderr

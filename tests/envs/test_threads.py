@@ -21,6 +21,7 @@ from evogymcm.envs import TaskEngine
 engine = TaskEngine("Walker-v0", ["HVH/S.R", "RHSV/H..H"], 60, num_threads=2)
 
 def returns(action):
+    engine.set_state(state)  # one process may be given both
     engine.step(np.full(engine.occupancy.shape, action))
     return engine.returns
 
@@ -29,7 +30,6 @@ state = engine.state()
 with multiprocessing.get_context("fork").Pool(2) as pool:
     forked = pool.map_async(returns, [0.7, 1.4], chunksize=1).get(timeout=60)
 for action, got in zip([0.7, 1.4], forked):
-    engine.set_state(state)
     assert np.array_equal(returns(action), got)
 engine.close()
 """

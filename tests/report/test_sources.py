@@ -120,7 +120,7 @@ def test_files_of_a_run_are_newer_than_what_an_earlier_sitting_said(training, tm
     (folder / "result.json").write_text(json.dumps(early))
     run, whole = RunRecord.read(folder), RunRecord.read(training / "reactive-0")
     final = {name: value for name, value in whole.final.items() if name != "ceiling"}
-    assert run == replace(whole, path=folder, final=final, origin={})
+    assert run == replace(whole, path=folder, final=final, origin={}, initial=None)
     (folder / "result.json").write_text(json.dumps(early | {"finished": True, "final": {"score": 7.0}}))
     assert RunRecord.read(folder, early).final_of("score") == 7.0  # the folder's record is newer than the suite's
 
