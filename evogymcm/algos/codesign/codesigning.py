@@ -16,6 +16,7 @@ from evogymcm._settings import WORK, check_count
 from evogymcm.algos.codesign.config import CodesignConfig
 from evogymcm.algos.codesign.crew import check_executor
 from evogymcm.algos.codesign.design import Individual
+from evogymcm.algos.codesign.evolve_config import EvolveConfig
 from evogymcm.algos.codesign.inner_loop import Policy
 from evogymcm.algos.codesign.plan import cost_of, pieces
 from evogymcm.algos.codesign.run import Codesign, CodesignProgress
@@ -100,18 +101,7 @@ def _codesign(
     run.check_settings(settings)
     with run.lock():
         state = Codesign(config, run, executor=executor)
-        stiffness = None if config.material == "reactive" or config.search else config.stiffness
-        record = RunRecord(
-            "codesign",
-            config.task,
-            label=config.material if stiffness is None else f"stiffness {stiffness:g}",
-            material=config.material,
-            stiffness=stiffness,
-            edge_rule=config.edge_rule,
-            seed=config.seed,
-            initial=state.began,
-            origin=find_origin(),
-        )
+        record = replace(first_record(config, config.search is not None), initial=state.began)
         record.write(run)
         result = _to_the_end(state, progress, should_stop)
         replace(
@@ -123,6 +113,21 @@ def _codesign(
             n_designs=len({row["index"] for row in result.rows}),
         ).write(run)
     return result
+
+
+def first_record(config: CodesignConfig | EvolveConfig, has_fields: bool) -> RunRecord:
+    """Returns the record of a run that begins; `has_fields` says whether designs have stiffness fields of their own."""
+    stiffness = None if config.material == "reactive" or has_fields else config.stiffness
+    return RunRecord(
+        "codesign",
+        config.task,
+        label=config.material if stiffness is None else f"stiffness {stiffness:g}",
+        material=config.material,
+        stiffness=stiffness,
+        edge_rule=config.edge_rule,
+        seed=config.seed,
+        origin=find_origin(),
+    )
 
 
 def count_workers(config: CodesignConfig, workers: int | None) -> int:

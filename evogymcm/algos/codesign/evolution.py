@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from evogymcm._settings import WORK, check_work_weight
 from evogymcm.algos.codesign.design import Design, Individual, mutate_design
 from evogymcm.algos.codesign.evolve_config import EvolveConfig
 from evogymcm.algos.codesign.run import CodesignProgress
@@ -96,13 +97,19 @@ class Evolution:
 
     @property
     def best(self) -> Mover | None:
-        """The best one so far, None before there is one; at the end the survivor with the highest robust score.
+        """The best one so far, None before there is one; at the end the survivor with the highest robust score, less
+        what its work costs where that is asked for.
 
         The fittest is often fragile: chosen by one episode, it may owe its lead to a contact that a hair would undo.
-        """
-        robust = {row["index"]: row["robust_score"] for row in self.rows if row["event"] == "evaluate"}
-        if robust:
-            return max(self.survivors, key=lambda mover: robust[mover.individual.index])
+        """  # noqa: D205
+        weights = check_work_weight(self.config.work_weight) or (0.0, 0.0)
+        worth = {
+            row["index"]: row["robust_score"] - sum(w * row[name] for w, name in zip(weights, WORK[:2], strict=True))
+            for row in self.rows
+            if row["event"] == "evaluate"
+        }
+        if worth:
+            return max(self.survivors, key=lambda mover: worth[mover.individual.index])
         return self.survivors[0] if self.survivors else None
 
     def advance(self) -> CodesignProgress:

@@ -6,14 +6,14 @@ from contextlib import nullcontext
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
+from evogymcm.algos.codesign.codesigning import first_record
 from evogymcm.algos.codesign.design import Individual
 from evogymcm.algos.codesign.evolution import Evolution, check_evolution, waves_of
 from evogymcm.algos.codesign.evolve_config import EvolveConfig
 from evogymcm.algos.codesign.run import CodesignProgress
 from evogymcm.algos.gaits.wave import Waves
 from evogymcm.algos.runs.folder import RunFolder, stop_on_interrupt
-from evogymcm.algos.runs.origin import find_origin
-from evogymcm.algos.runs.record import RunRecord, best_curve
+from evogymcm.algos.runs.record import best_curve
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,17 +68,7 @@ def evolve(
     run.check_settings(settings)
     with run.lock():
         state = Evolution(config, run)
-        stiffness = None if config.material == "reactive" or config.evolves_stiffness else config.stiffness
-        record = RunRecord(
-            "codesign",
-            config.task,
-            label=config.material if stiffness is None else f"stiffness {stiffness:g}",
-            material=config.material,
-            stiffness=stiffness,
-            edge_rule=config.edge_rule,
-            seed=config.seed,
-            origin=find_origin(),
-        )
+        record = first_record(config, config.evolves_stiffness)
         record.write(run)
         result = _to_the_end(state, progress, should_stop)
         state.store_best()

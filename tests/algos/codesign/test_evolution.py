@@ -107,6 +107,17 @@ def test_tasks_that_draw_are_played_several_times():
     assert state.env_steps == 2 * 8 * 12
 
 
+def test_where_work_costs_the_best_is_one_that_is_worth_it():
+    config = replace(TINY, seed=0, work_weight=(1.0, 1.0))  # far more than any score
+    result = evolve(config)
+    rows = [row for row in result.rows if row["event"] == "evaluate"]
+    worth = {row["index"]: row["robust_score"] - row["actuation_work"] - row["stiffness_work"] for row in rows}
+    assert result.best.index == max(worth, key=worth.__getitem__)
+    (row,) = (row for row in rows if row["index"] == result.best.index)
+    assert result.best.fitness == pytest.approx(row["score"] - row["actuation_work"] - row["stiffness_work"])
+    assert result.best.index != max(rows, key=lambda row: row["robust_score"])["index"]
+
+
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
