@@ -216,6 +216,7 @@ def test_a_process_is_found_again_stops_is_killed_and_loses_nothing(tmp_path):
     assert found.status()["state"] == "killed"
     assert "killed" in MaterialImprovement.open(job.folder).status()["error"]
     full = found.folder / ".search.json.part"
+    full.unlink(missing_ok=True)  # what it was writing when it died
     full.symlink_to("/dev/full")  # as on a full disk
     found.resume()
     wait_for(lambda: not found.is_running)
