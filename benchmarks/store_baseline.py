@@ -117,7 +117,7 @@ def command_of(config: TrainConfig) -> str:
     """Returns what repeats a training on random bodies."""
     assert config.random_bodies is not None
     words = ["evogymcm", "train", config.task, "--random-bodies", *map(str, config.random_bodies)]
-    for name in ("material", "stiffness", "edge_rule", "work_weight", "initial"):
+    for name in ("pool", "material", "stiffness", "edge_rule", "work_weight", "initial"):
         value = getattr(config, name)
         if value != getattr(TrainConfig(config.task), name):
             words += [f"--{name.replace('_', '-')}", *map(str, value if isinstance(value, tuple) else (value,))]

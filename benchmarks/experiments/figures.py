@@ -21,8 +21,6 @@ _COLOURS: Mapping[str, str] = {
     "control-only": _BLUE, "co-optimisation": _RED,
     "fixed": _BLUE, "reactive": _RED, "invariant": _GREEN,
     "none": _GREY, "body": _BLUE, "message": _GREEN, "attention": _RED, "mlp": _PINK,
-    "untrained": _GREY, "shared": _RED, "independent": _BLUE,
-    "zero-shot": _YELLOW, "fine-tuned": _RED, "scratch": _BLUE,
 }  # fmt: skip
 _PAPERS_VOXEL = (1, 2)  # row and column, from 0, of the voxel whose signals the paper shows
 _SHOWN, _STEPS = 3, 100  # voxels, and env-steps of their series
@@ -163,29 +161,23 @@ def mean_fields(groups: Mapping[tuple[str, str], Sequence[Design]], path: Path) 
         bar.minorticks_off()
 
 
-def sharing(
-    scores: Mapping[str, Mapping[str, Sequence[float]]], training: Mapping[str, Sequence[Sequence[float]]], path: Path
-) -> None:
-    """Draws each body's scores, sorted, and how training on the unseen bodies went.
-
-    Args:
-        scores: of each body, for each policy, of the seen and the unseen bodies.
-        training: (env-steps of each body, mean score) of the policies trained on unseen bodies.
-        path: of the figure.
-    """
-    with _panels(path, 3) as axes:
-        for axis, (bodies, of_bodies) in zip(axes, scores.items(), strict=False):
-            order = np.argsort(next((of_bodies[p] for p in ("shared", "zero-shot") if p in of_bodies), []))
-            for policy, values in of_bodies.items():
-                ranked = np.array(values)[order] if len(order) else np.array(values)
-                axis.plot(ranked, "o-", color=_COLOURS[policy], ms=4, lw=0.8, label=f"{policy}, {ranked.mean():.2f}")
-            axis.set(title=f"{bodies} bodies", xlabel="body, by the shared policy's score", ylabel="score")
-        for policy, curve in training.items():
-            axes[2].plot(*np.transpose(curve), "o-", color=_COLOURS[policy], ms=3, label=policy)
-        axes[2].set(title="training on the unseen bodies", xlabel="env-steps of each body", ylabel="mean score")
-        for axis in axes:
-            if axis.has_data():
-                axis.legend(fontsize="small")
+def unseen_curves(runs: Sequence[Mapping[str, Any]], tasks: Sequence[str], arms: Sequence[str], path: Path) -> None:
+    """Draws what one policy is worth on bodies that it has not seen while it trains on others, one panel a task."""
+    of_tasks = _known(tasks, runs)
+    if not of_tasks:
+        return
+    with _panels(path, len(of_tasks)) as axes:
+        for axis, (task, group) in zip(axes, of_tasks.items(), strict=True):
+            for place, arm in enumerate(arms):
+                curves = [run["curve"] for run in group if run["label"] == arm]
+                if not curves or (lines := band(curves, is_stepwise=False)) is None:
+                    continue
+                for curve in curves:
+                    axis.plot(*np.transpose(curve), color=f"C{place}", lw=0.6, alpha=0.5)
+                axis.plot(lines.steps, lines.mean, color=f"C{place}", lw=1.6, label=arm)
+            axis.set(title=task, xlabel="env-steps", ylabel="score of unseen bodies")
+            axis.ticklabel_format(axis="x", style="sci", scilimits=(0, 0))
+            axis.legend(fontsize="x-small")
 
 
 def signals(given: Signals, path: Path) -> None:

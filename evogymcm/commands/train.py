@@ -53,6 +53,7 @@ class Options:
         body: rows of voxels (HHH/S.R), a robot's name or a file (.npz, .npy, .txt, .json); several learn side by
             side.
         random_bodies: rows and columns of random bodies, a fresh one in every episode; evaluations use others.
+        pool: train on so many different random bodies instead of fresh ones.
         material: whether the policy sets stiffness too ("reactive"), or stiffness belongs to the body.
         stiffness: invariant only: a number, or numbers in rows like the body's (2,2,2/0.5,1,0.5); one for all bodies
             or one for each.
@@ -75,6 +76,7 @@ class Options:
     random_bodies: Annotated[
         tuple[int, int] | None, arg(metavar="ROWS COLUMNS", help_behavior_hint="(default: BODY)")
     ] = None
+    pool: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: no limit)")] = None
     material: Material = "invariant"
     stiffness: Annotated[tuple[str, ...], arg(metavar="FIELD", help_behavior_hint="(default: 1)")] = ()
     edge_rule: EdgeRule = "mean_factor"
@@ -122,6 +124,7 @@ def _config(options: Options) -> TrainConfig:
         options.material,
         edge_rule=options.edge_rule,
         random_bodies=options.random_bodies,
+        pool=options.pool,
         work_weight=options.work_weight,
         ppo=options.ppo,
         initial=options.initial,

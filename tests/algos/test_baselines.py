@@ -26,7 +26,18 @@ ROOT = Path(__file__).resolve().parents[2]
 SHIPPED = {("Walker-v0", "invariant")}  # (task, material) of all that the package has
 BODY, OTHER = "HHH/V.V", "VHHH/S..R/V..V"
 TINY = PPOConfig(64, 4, 8, epochs=1, minibatch=16, eval_interval=0)
-KEYS = {"task", "material", "random_bodies", "stiffness", "edge_rule", "work_weight", "env_steps", "seconds", "seed"}
+KEYS = {
+    "task",
+    "material",
+    "random_bodies",
+    "pool",
+    "stiffness",
+    "edge_rule",
+    "work_weight",
+    "env_steps",
+    "seconds",
+    "seed",
+}
 KEYS |= {"policy", "score", "robust_score", "spread", "starts", "robust_scores", "command", "ppo", "form", "origin"}
 
 

@@ -98,9 +98,8 @@ def test_every_setting_can_be_given():
         (["B", "--codesign.seed", "1"], "codesign.seed"),
         (["C", "--arms", "control-only"], "control-only"),
         (["contexts", "--arms", "cnn"], "cnn"),
-        (["sharing", "--bodies", "1"], "bodies"),
-        (["sharing", "--task", "Hopper-v0"], "Hopper-v0"),
-        (["sharing", "--context", "all"], "all"),
+        (["universal", "--trained-on", "1"], "trained_on"),
+        (["universal", "--arms", "shared"], "shared"),
         (["gaits", "--gait.seed", "1"], "gait.seed"),
         (["signals"], "folders"),
     ],
@@ -162,7 +161,6 @@ def test_a_failed_run_does_not_take_the_others_with_it(tmp_path, monkeypatch, pr
             None,
         ),
         ("contexts --arms attention mlp --ppo.total-steps 96 --ppo.num-worlds 1", 2, 96),
-        ("sharing --bodies 2 --unseen 2 --total-steps 128 --finetune-steps 32 --worlds 1", 2, None),
         ("gaits --short-steps 5000 --held-out 1 --gait.env-steps 6000 --gait.first 4 --gait.trial-steps 50", 3, None),
     ],
 )
@@ -180,7 +178,7 @@ def test_a_tiny_experiment_from_end_to_end(arguments, n_runs, env_steps, tmp_pat
     assert (tmp_path / "run" / "table.md").read_text() in out
     assert parse_command(results["command"]).settings() == results["suite"]
     assert (tmp_path / "run" / "curves.png").exists()
-    if arguments[0] in ("sharing", "contexts"):
+    if arguments[0] == "contexts":
         return  # what follows is the same for all experiments
     assert program_here(*arguments)[0] == 2
     status, _, err = program_here(*arguments, "--resume")

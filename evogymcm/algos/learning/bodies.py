@@ -2,6 +2,7 @@
 
 import os
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from evogymcm.envs.dealing import as_bodies
 
 N_HELD_OUT = 64  # bodies that tell what a policy is worth on those that it has not seen
 _HELD_OUT_SEED = 987_654_321
+_POOL_SEED = 123_456_789
 STANDARD_BODY = "HHHHH/HHHHH/HH.HH/VV.VV/VV.VV"
 
 
@@ -67,14 +69,22 @@ class RandomBodies:
     Attributes:
         shape: Rows and columns.
         stiffness: That of all voxels; None for 1, or where the policy sets it.
+        pool: How many different bodies there are, the same in every run, those of smaller pools among them; None for a
+            fresh one each time.
     """
 
     shape: tuple[int, int]
     stiffness: float | None = None
+    pool: int | None = None
+
+    @cached_property
+    def _bodies(self) -> list[Body]:
+        rng = np.random.default_rng(_POOL_SEED)
+        return [sample_body(self.shape, rng) for _ in range(self.pool or 0)]
 
     def __call__(self, rng: np.random.Generator) -> Body | tuple[Body, np.ndarray]:
         """Returns a body, with its stiffness field where there is one."""
-        body = sample_body(self.shape, rng)
+        body = sample_body(self.shape, rng) if self.pool is None else self._bodies[rng.integers(self.pool)]
         return body if self.stiffness is None else (body, np.where(body.occupancy, self.stiffness, 1.0))
 
 

@@ -176,6 +176,7 @@ class TrainConfig:
         random_bodies: Rows and columns of random bodies instead of `bodies`: every episode of every world has a fresh
             one. Evaluations use `ppo.eval_worlds` bodies (64 by default) that no run trains on, the same ones in all
             runs.
+        pool: How many different random bodies there are to train on; None for a fresh one in every episode.
         work_weight: What a unit of supplied work costs in reward: a number, or one for work of actuation and one for
             work of stiffness. With 0 it is only reported, with None not measured. Scores are always the task's.
         ppo: Settings of PPO.
@@ -194,6 +195,7 @@ class TrainConfig:
     stiffness: float | tuple[Field, ...] | None = None
     edge_rule: EdgeRule = "mean_factor"
     random_bodies: tuple[int, int] | None = None
+    pool: int | None = None
     work_weight: WorkWeight = None
     ppo: PPOConfig = field(default_factory=PPOConfig)
     initial: str = INITIAL
@@ -209,6 +211,8 @@ class TrainConfig:
         object.__setattr__(self, "work_weight", check_work_weight(self.work_weight))
         if self.random_bodies is not None:
             self._check_stream()
+        elif self.pool is not None:
+            raise ValueError(f"pool: got {self.pool}, but no random_bodies")
         if self.stiffness is None:
             return
         if self.material == "reactive":

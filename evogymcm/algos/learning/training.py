@@ -127,7 +127,7 @@ def make_trainer(
         trainer = Trainer(make_env, ppo)
     else:
         assert config.stiffness is None or isinstance(config.stiffness, float)
-        stream = RandomBodies(config.random_bodies, config.stiffness)
+        stream = RandomBodies(config.random_bodies, config.stiffness, config.pool)
         trainer = Trainer(partial(make_env, bodies=stream, stiffness=None), ppo, make_env)
     try:
         if initial is not None:

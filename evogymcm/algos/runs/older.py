@@ -23,7 +23,7 @@ def present_settings(config: Mapping[str, Any]) -> Mapping[str, Any]:
     config = _with_starts(config)
     is_training = isinstance(config.get("bodies"), list) and config.keys() & {"ppo", "total_steps"}
     if "budget" in config or is_training:
-        config = {"initial": "fresh", **config}
+        config = {"initial": "fresh", **({} if "budget" in config else {"pool": None}), **config}
     if not {"arm", "prescribed", "search"} <= config.keys():
         return config
     rest = {name: value for name, value in config.items() if name not in ("arm", "prescribed")}

@@ -60,6 +60,10 @@ def test_the_others_may_be_played_from_several_starts():
     assert (both.spread > 0).any()
 
 
+def rngs(count):
+    return [np.random.default_rng(seed) for seed in range(count)]
+
+
 def test_a_stopped_run_goes_on_with_the_same_bodies(tmp_path):
     whole = train(CONFIG, num_threads=1)
     calls = iter(range(100))
@@ -86,12 +90,23 @@ def test_random_bodies_have_the_stiffness_that_is_given():
     assert RandomBodies((4, 3))(rng).shape == (4, 3)
 
 
+def test_a_pool_is_so_many_bodies_in_every_run_those_of_smaller_pools_among_them():
+    small, large = ({body.text for body in map(RandomBodies((5, 5), pool=n), rngs(200))} for n in (3, 5))
+    assert (len(small), len(large)) == (3, 5)
+    assert small < large
+    assert not large & {body.text for body in held_out_bodies((5, 5))}
+    with make_trainer(replace(CONFIG, pool=1), num_threads=1) as trainer:
+        assert {body.text for body in trainer._env.engine.bodies} == {RandomBodies((3, 3), pool=1)(*rngs(1)).text}
+
+
 @pytest.mark.parametrize(
     ("wrong", "said"),
     [
         ({"random_bodies": (5, 0)}, "random_bodies: got 0"),
         ({"random_bodies": 5}, "random_bodies: got 5"),
         ({"bodies": ("HH/VV",)}, r"random_bodies: got \(3, 3\) and bodies too"),
+        ({"pool": 0}, "pool: got 0"),
+        ({"pool": 2, "random_bodies": None}, "pool: got 2, but no random_bodies"),
         ({"stiffness": (((1.0, 1.0),),)}, "random bodies take one number"),
         ({"ppo": replace(TINY, sharing="independent")}, "a stream of bodies needs 'shared'"),
         ({"ppo": replace(TINY, device="cuda:99")}, "device: got 'cuda:99', which torch cannot use here"),

@@ -1,0 +1,270 @@
+"""One policy for every body: what it is worth on bodies that it has not seen, and what further training adds."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from functools import partial
+from pathlib import Path
+from statistics import mean
+from typing import Any, get_args
+
+import numpy as np
+
+from benchmarks.experiments import figures
+from benchmarks.experiments.experiment import Comparison, Record, Tell
+from benchmarks.experiments.tables import table, with_interval
+from evogymcm._settings import Material, check_choice
+from evogymcm.algos.analysis import summarise
+from evogymcm.algos.baselines import baselines, has_baseline, load_baseline
+from evogymcm.algos.codesign import BodyPPOConfig, Design, score_alone, train_designs
+from evogymcm.algos.codesign.inner_loop import Policy
+from evogymcm.algos.learning import PPOConfig, TrainConfig, train
+from evogymcm.algos.learning.bodies import N_HELD_OUT, held_out_bodies
+from evogymcm.algos.learning.initial import following
+from evogymcm.algos.runs import RunFolder, RunRecord, load_policy
+from evogymcm.envs import SoftRobotEnv
+
+SHAPE = (5, 5)
+BASELINE, FRESH, SPECIALISTS = "baseline", "fresh", "specialists"
+LEARNT: Mapping[str, Mapping[str, Any]] = {  # arms that train one policy -> settings that differ
+    "stream": {},
+    **{f"pool-{count}": {"pool": count} for count in (32, 64, 256)},
+    **{f"context-{kind}": {"context": kind} for kind in ("none", "message", "attention")},
+}
+ARMS = (*LEARNT, BASELINE, FRESH, SPECIALISTS)
+UNSEEN, IDLE, TUNED, ALONE = "zero-shot", "stiffness 1", "fine-tuned", "alone"  # kinds of scores
+_STARTS = 8  # of a robust score
+
+
+@dataclass(frozen=True)
+class Universal(Comparison):
+    """Policies for all bodies of 5x5 voxels, scored on random bodies that none of them has seen.
+
+    "stream" trains one policy on a fresh random body in every episode; "pool-N" on N bodies only; "context-KIND" on the
+    stream with another knowledge of the body; "baseline" is the one that comes with the package. Each is scored as it
+    is ("zero-shot"), in the reactive setting also with its stiffness replaced by 1, and after fine-tuning on each of
+    the first bodies by itself. "fresh" and "specialists" train a network for each of these bodies from fresh weights,
+    for as long as fine-tuning lasts, and for long.
+
+    Scores are robust ones, of the last policy. Intervals are bootstrap intervals (95 %) of the mean over bodies.
+
+    Attributes:
+        material: "reactive" (policies set stiffness) or "invariant".
+        bodies: unseen bodies to score on, the first of those that all runs have.
+        trained_on: how many of them are trained on, one by one, in fine-tuning and for specialists.
+        finetune_steps: env-steps of that on each.
+        specialist_steps: env-steps of each specialist.
+        ppo: settings of the training of one policy; its seed comes from `seeds`.
+    """
+
+    tasks: tuple[str, ...] = ("Walker-v0",)
+    arms: tuple[str, ...] = ("stream", FRESH, SPECIALISTS)
+    seeds: tuple[int, ...] = (0, 1, 2)
+    material: Material = "invariant"
+    bodies: int = N_HELD_OUT
+    trained_on: int = 16
+    finetune_steps: int = 50_000
+    specialist_steps: int = 1_000_000
+    ppo: PPOConfig = field(
+        default_factory=lambda: PPOConfig(
+            total_steps=10_000_000,
+            num_worlds=512,
+            minibatch=2048,
+            epochs=1,
+            learning_rate=3e-3,
+            hidden=64,
+            eval_interval=500_000,
+        )
+    )
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_choice("material", self.material, get_args(Material))
+        if self.ppo.seed:
+            raise ValueError(f"ppo.seed: got {self.ppo.seed}, here it comes from seeds")
+        if not 2 <= self.trained_on <= self.bodies <= N_HELD_OUT:  # 2: for the intervals
+            raise ValueError(
+                f"trained_on, bodies: got {self.trained_on} and {self.bodies}, expected 2 or more of up to {N_HELD_OUT}"
+            )
+        for name in ("finetune_steps", "specialist_steps"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"{name}: got {getattr(self, name)}, must be at least 1")
+        if BASELINE in self.arms:
+            for task in self.tasks:
+                if not has_baseline(task, self.material):
+                    there = ", ".join(f"{name} ({material})" for name, material in baselines())
+                    raise ValueError(f"arms: there is no baseline of {task} ({self.material}), only of {there}")
+
+    @property
+    def allowed_arms(self) -> tuple[str, ...]:
+        """All arms that there are."""
+        return ARMS
+
+    @property
+    def steps_per_run(self) -> int:
+        """The most env-steps of a run, but for whole rollouts."""
+        tuned = self.trained_on * self.finetune_steps
+        steps = {SPECIALISTS: self.trained_on * self.specialist_steps, BASELINE: tuned, FRESH: tuned}
+        return max(steps.get(arm, self.ppo.total_steps + tuned) for arm in self.arms)
+
+    def job(self, task: str, arm: str, seed: int) -> "UniversalJob":
+        """Returns one run."""
+        return UniversalJob(self, task, arm, seed)
+
+    def training(self, task: str, arm: str, seed: int) -> TrainConfig:
+        """Returns the settings of the training of one policy."""
+        changes = dict(LEARNT[arm])
+        pool = changes.pop("pool", None)
+        ppo = replace(self.ppo, seed=seed, eval_worlds=self.bodies, **changes)
+        return TrainConfig(task, material=self.material, random_bodies=SHAPE, pool=pool, ppo=ppo, initial="fresh")
+
+    def of_body(self, arm: str, seed: int) -> BodyPPOConfig:
+        """Returns the settings of training on one body: fresh networks, or fine-tuning from where schedules ended."""
+        steps = self.specialist_steps if arm == SPECIALISTS else self.finetune_steps
+        config = BodyPPOConfig(total_steps=steps, eval_interval=0, seed=seed)
+        return config if arm in (FRESH, SPECIALISTS) else replace(config.finetuning(steps), eval_interval=0)
+
+    def summarise(self, runs: Sequence[Record]) -> list[Record]:
+        """Returns one row a task and arm over its finished runs, with the means over seeds of each body's scores."""
+        rows = []
+        for task, arm, group in self.groups([run for run in runs if run["finished"]]):
+            kinds = [kind for kind in (UNSEEN, IDLE, TUNED, ALONE) if kind in group[0]["scores"]]
+            of_bodies = {kind: np.mean([run["scores"][kind] for run in group], 0).tolist() for kind in kinds}
+            row: Record = {"task": task, "arm": arm, "seeds": len(group), "scores": of_bodies}
+            row["env_steps"] = mean(run["env_steps"] for run in group)
+            row["of_seeds"] = {kind: [mean(run["scores"][kind]) for run in group] for kind in kinds}
+            rows.append(row | {"seconds": mean(run["seconds"] for run in group)})
+        return rows
+
+    def table(self, rows: Sequence[Record]) -> str:
+        """Returns what policies are worth on unseen bodies, beside specialists, and what stiffness control adds."""
+        parts = [table(_lines(rows, self.trained_on))]
+        gains = [_gain(row) for row in rows if IDLE in row["scores"]]
+        if gains:
+            head = ("stiffness control on unseen bodies", "arm", "score", "with stiffness 1", "difference", "better on")
+            parts.append(table([head, *gains]))
+        return "\n\n".join(parts) if rows else ""
+
+    def plot(self, runs: Sequence[Record], path: Path) -> None:
+        """Draws the scores of unseen bodies in training, one panel a task."""
+        figures.unseen_curves(runs, self.tasks, [arm for arm in self.arms if arm in LEARNT], path)
+
+
+def _lines(rows: Sequence[Record], n: int) -> list[Sequence[str]]:
+    head = ["task", "arm", "seeds", "env-steps", "zero-shot", "of each seed", f"zero-shot, first {n}"]
+    lines: list[Sequence[str]] = [[*head, f"trained on these {n}", "of specialists", "seconds"]]
+    for row in rows:
+        scores, known = row["scores"], [other for other in rows if other["arm"] == SPECIALISTS]
+        best = [mean(other["scores"][ALONE]) for other in known if other["task"] == row["task"]]
+        first = scores.get(UNSEEN, [])[:n]
+        tuned = scores.get(TUNED, scores.get(ALONE, []))
+        cells = [row["task"], row["arm"], str(row["seeds"]), f"{row['env_steps']:,.0f}"]
+        cells += [_mean(scores.get(UNSEEN)), " ".join(f"{value:.2f}" for value in row["of_seeds"].get(UNSEEN, []))]
+        shares = [f"{mean(values) / best[0]:.0%}" for values in (first, tuned) if values and best]
+        lines.append([*cells, _mean(first), _mean(tuned), ", ".join(shares), f"{row['seconds']:,.0f}"])
+    return lines
+
+
+def _mean(values: Sequence[float] | None) -> str:
+    if not values:
+        return ""
+    found = summarise(values)
+    return with_interval(found.mean, (found.low, found.high), ".2f")
+
+
+def _gain(row: Record) -> Sequence[str]:
+    """What a policy loses where its stiffness is replaced by 1, body by body."""
+    own, idle = (np.array(row["scores"][kind]) for kind in (UNSEEN, IDLE))
+    found, better = summarise((own - idle).tolist()), int((own > idle).sum())
+    difference = with_interval(found.mean, (found.low, found.high), "+.2f")
+    return (row["task"], row["arm"], f"{own.mean():.2f}", f"{idle.mean():.2f}", difference, f"{better} of {len(own)}")
+
+
+@dataclass(frozen=True)
+class UniversalJob:
+    """One arm on one task with one seed."""
+
+    experiment: Universal
+    task: str
+    arm: str
+    seed: int
+
+    @property
+    def name(self) -> str:
+        """Name of the run's folder."""
+        return f"{self.task}-{self.arm}-seed{self.seed}"
+
+    def run(self, folder: Path, resume: bool, tell: Tell, should_stop: Callable[[], bool]) -> Record:
+        """Trains and scores in `folder / name` and returns all numbers of the run."""
+        run = RunFolder(folder / self.name, asdict(self), resume=resume)
+        record: Record = {"task": self.task, "label": self.arm, "seed": self.seed, "finished": False, "curve": []}
+        record |= {"env_steps": 0, "seconds": 0.0, "scores": {}}
+        scores: dict[str, list[float]] = record["scores"]
+        policy: Policy | None = None
+        if self.arm in LEARNT:
+            settings = self.experiment.training(self.task, self.arm, self.seed)
+            learnt = RunFolder(run.path / "policy", asdict(settings), resume=resume)
+
+            def told(state: Any) -> None:
+                tell(state.env_steps, state.row.get("score"))
+
+            result = train(settings, run=learnt, progress=told, should_stop=should_stop, num_threads=1)
+            record |= {name: RunRecord.read(learnt.path).as_dict()[name] for name in ("curve", "env_steps", "seconds")}
+            if not result.finished:
+                return record
+            policy = load_policy(learnt.path / "final.pt").state
+        elif self.arm == BASELINE:
+            policy = load_baseline(self.task, self.experiment.material).state
+        if policy is not None:
+            policy = {name: policy[name] for name in ("form", "actor", "critic")}
+            scores[UNSEEN] = self._score([policy] * self.experiment.bodies)
+            if self.experiment.material == "reactive":
+                scores[IDLE] = self._score([_without_stiffness(policy)] * self.experiment.bodies, "invariant")
+        before, ppo = record["env_steps"], self.experiment.of_body(self.arm, self.seed)
+        trained = train_designs(
+            self._make_env(self.experiment.material),
+            self._designs(self.experiment.trained_on),
+            ppo if policy is None else following(ppo, policy),
+            run=(place := RunFolder(run.path / "bodies", {"policies": self.arm}, resume=resume)),
+            initial=None if policy is None else [policy] * self.experiment.trained_on,
+            progress=lambda state: tell(before + state.env_steps, state.row.get("score")),
+            should_stop=should_stop,
+        )
+        if trained.finished:
+            scores[ALONE if policy is None else TUNED] = self._score(trained.last)
+            last = place.rows()[-1]
+            record["env_steps"], record["seconds"] = before + last["env_steps"], record["seconds"] + last["seconds"]
+            record["finished"] = True
+            run.write_json("result.json", record)
+        return record
+
+    def _make_env(self, material: Material) -> partial[SoftRobotEnv]:
+        return partial(SoftRobotEnv, self.task, material=material, num_threads=1, grid_shape=SHAPE)
+
+    def _designs(self, count: int) -> list[Design]:
+        return [Design(body) for body in held_out_bodies(SHAPE, count)]
+
+    def _score(self, policies: Sequence[Policy], material: Material | None = None) -> list[float]:
+        """Returns the robust score of each of the first bodies under its policy."""
+        make_env = self._make_env(material or self.experiment.material)
+        found = score_alone(make_env, self._designs(len(policies)), policies, starts=_STARTS)
+        return [float(value) for value in found.robust]
+
+
+def _without_stiffness(policy: Policy) -> Policy:
+    """Returns the policy of the invariant setting that has the actuation of one that sets stiffness too."""
+    form, actor = policy["form"], dict(policy["actor"])
+    index = list(form["ranges"]).index("actuation")
+    for name in ("heads.weight", "heads.bias", "log_std"):
+        actor[name] = actor[name][index : index + 1]
+    ranges = {"actuation": form["ranges"]["actuation"]}
+    return {"form": form | {"ranges": ranges}, "actor": actor, "critic": policy["critic"]}
+
+
+_SHORT = replace(Universal().ppo, total_steps=3_000_000, eval_interval=250_000)
+SIZES: Mapping[str, Universal] = {
+    "quick": Universal(
+        seeds=(0,), arms=("stream", FRESH), bodies=16, trained_on=4, ppo=replace(_SHORT, total_steps=500_000)
+    ),
+    "small": Universal(seeds=(0,), ppo=_SHORT),
+    "paper": Universal(),
+}
