@@ -44,7 +44,8 @@ class EvolveJob:
         result = evolve(self.config, run=run, **told)
         record = RunRecord.read(run.path).as_dict()
         best = accumulate((row["return"] for row in result.rows), max)
-        record["returns"] = [[row["env_steps"], value] for row, value in zip(result.rows, best, strict=True)]
+        record["returns"] = _rises([[row["env_steps"], value] for row, value in zip(result.rows, best, strict=True)])
+        record["curve"] = _rises(record["curve"])
         if result.finished and self.config.material == "reactive":
             record["signals"] = analyse_run(run.path).summary()
         return record | {"played": result.played}
@@ -101,6 +102,7 @@ class EvolvedGaits(Comparison):
                     "scores": [run["best"]["fitness"] for run in group],
                     "robust": [run["best"].get("robust_score") for run in group],
                     "returns": [run["best"]["return"] for run in group],
+                    "means_of_curve": [mean_of_steps(run["curve"], self.evolve.max_env_steps) for run in group],
                     "reached": len(known),
                     "steps_to_published": median(known) if 2 * len(known) > len(group) else None,
                     "played": mean(run["played"] for run in group),
@@ -125,6 +127,18 @@ class EvolvedGaits(Comparison):
         figures.best_curves(runs, self.tasks, self.arms, path)
         figures.designs(runs, path.with_name(f"{path.stem}-designs{path.suffix}"))
         observations.plot(self.groups(runs), path)
+
+
+def mean_of_steps(curve: Sequence[Sequence[float]], end: float) -> float:
+    """Returns the mean over env-steps up to an end of a value that changes at each point and is 0 before the first."""
+    known = [(steps, value) for steps, value in [(0, 0.0), *curve] if steps < end]
+    ends = [*(steps for steps, _ in known[1:]), end]
+    return sum(value * (until - steps) for (steps, value), until in zip(known, ends, strict=True)) / end
+
+
+def _rises(curve: Sequence[Sequence[float]]) -> list[Sequence[float]]:
+    """Returns the points of a curve that are above the one before, the first, and the last."""
+    return [curve[i] for i in range(len(curve)) if i in (0, len(curve) - 1) or curve[i][1] > curve[i - 1][1]]
 
 
 def _first(curve: Sequence[Sequence[float]], level: float) -> float | None:
@@ -155,7 +169,7 @@ def _pairs(rows: Sequence[Record], arm: str) -> Iterator[tuple[str, tuple[Record
 
 def _gain_lines(arm: str, pairs: Mapping[str, tuple[Record, Record]]) -> list[Sequence[str]]:
     """An arm minus the control, task by task and over all of them."""
-    kinds = {"scores": "score", "robust": "robust score"}
+    kinds = {"scores": "score", "robust": "robust score", "means_of_curve": "mean of curve"}
     lines: list[Sequence[str]] = [
         [f"{arm} minus {CONTROL}", *(cell for name in kinds.values() for cell in (name, "P"))]
     ]
@@ -185,7 +199,8 @@ def _note(counts: Sequence[int]) -> str:
         " exact start, without the last reward; return: the sum of all rewards, beside the best of published runs of"
         " EvoGym's genetic algorithm (100 bodies trained), how many runs had a survivor that reaches it, and the median"
         " of env-steps until they had. P: how often a run of"
-        f" the arm beats one of {CONTROL}. Interquartile means: scores in units of the published return."
+        f" the arm beats one of {CONTROL}. Interquartile means: scores in units of the published return. Mean of"
+        " curve: the best score so far, over all env-steps; it tells runs apart that end at the same ceiling."
     )
     seeds = min(counts)
     if seeds > 1:
