@@ -56,6 +56,11 @@ def test_runs_end_in_tables(tmp_path, monkeypatch):
         assert values[:-1] == sorted(set(values[:-1]))  # of what stands still, only the end
         assert run["curve"][-1][1] == max(value for _, value in run["curve"])
     assert "0 of 2" in text
+    work = [
+        line.split("|")[1:-1] for line in text.splitlines()[text[: text.index("work of best")].count("\n") + 2 :][:3]
+    ]
+    assert [cells[1].strip() for cells in work] == ["fixed", "reactive", "invariant"]
+    assert [int(cells[4]) > 0 for cells in work] == [False, True, False]  # of stiffness
     pytest.importorskip("matplotlib")
     TINY.plot(runs, tmp_path / "curves.png")
     assert (tmp_path / "curves-designs.png").stat().st_size > 0
