@@ -12,6 +12,7 @@ from benchmarks.experiments.experiment import Comparison, Record, Tell
 from benchmarks.experiments.paper import PAPER, PUBLISHED
 from benchmarks.experiments.signals import analyse_run
 from benchmarks.experiments.tables import joined, table, with_interval
+from evogymcm._settings import WORK
 from evogymcm.algos.analysis import coverage, difference, improvement, interquartile_mean, normalise, summarise
 from evogymcm.algos.codesign import EvolveConfig, evolve
 from evogymcm.algos.runs import RunFolder, RunRecord
@@ -21,6 +22,7 @@ ARMS: Mapping[str, Mapping[str, Any]] = {  # -> what differs from the defaults
     CONTROL: {},
     "reactive": {"material": "reactive"},
     "invariant": {"evolves_stiffness": True},
+    "priced": {"material": "reactive", "work_weight": (0.0, 1e-5)},
 }
 _FROM_ARMS = ("material", "evolves_stiffness", "task", "seed")
 
@@ -44,7 +46,8 @@ class EvolveJob:
         result = evolve(self.config, run=run, **told)
         record = RunRecord.read(run.path).as_dict()
         best = accumulate((row["return"] for row in result.rows), max)
-        record["returns"] = [[row["env_steps"], value] for row, value in zip(result.rows, best, strict=True)]
+        record["returns"] = _rises([[row["env_steps"], value] for row, value in zip(result.rows, best, strict=True)])
+        record["curve"] = _rises(record["curve"])
         if result.finished and self.config.material == "reactive":
             record["signals"] = analyse_run(run.path).summary()
         return record | {"played": result.played}
@@ -55,14 +58,16 @@ class EvolvedGaits(Comparison):
     """Evolution of bodies with their gaits: with stiffness 1 ("fixed"), with gaits that set stiffness ("reactive"), and
     with stiffness fields that evolve with the bodies ("invariant").
 
-    All arms have equal env-steps, one recipe for all tasks.
+    In arm "priced" gaits set stiffness and pay for the work that its changes supply: 1 for each 100,000, so that
+    designs are selected that need little of it. It is run where it is asked for. All arms have equal env-steps, one
+    recipe for all tasks.
 
     Attributes:
         evolve: settings of each run; task, seed and material come from the fields above.
     """  # noqa: D205
 
     tasks: tuple[str, ...] = tuple(PAPER)
-    arms: tuple[str, ...] = tuple(ARMS)
+    arms: tuple[str, ...] = tuple(ARMS)[:3]
     seeds: tuple[int, ...] = (0, 1, 2, 3, 4)
     evolve: EvolveConfig = field(default_factory=lambda: EvolveConfig(max_env_steps=2_000_000, num_threads=1))
 
@@ -101,8 +106,10 @@ class EvolvedGaits(Comparison):
                     "scores": [run["best"]["fitness"] for run in group],
                     "robust": [run["best"].get("robust_score") for run in group],
                     "returns": [run["best"]["return"] for run in group],
+                    "means_of_curve": [mean_of_steps(run["curve"], self.evolve.max_env_steps) for run in group],
                     "reached": len(known),
                     "steps_to_published": median(known) if 2 * len(known) > len(group) else None,
+                    "work": {name: [run["best"].get(name) for run in group] for name in WORK},
                     "played": mean(run["played"] for run in group),
                     "seconds": mean(run["seconds"] or 0.0 for run in group),
                     **observations.observed(group),
@@ -112,7 +119,7 @@ class EvolvedGaits(Comparison):
 
     def table(self, rows: Sequence[Record]) -> str:
         """Returns the scores and returns beside published ones, and what stiffness is worth."""
-        parts = [table(_lines(rows))]
+        parts = [table(_lines(rows)), table(_work_lines(rows))]
         for arm in self.arms:
             pairs = dict(_pairs(rows, arm))
             if arm != CONTROL and pairs:
@@ -125,6 +132,31 @@ class EvolvedGaits(Comparison):
         figures.best_curves(runs, self.tasks, self.arms, path)
         figures.designs(runs, path.with_name(f"{path.stem}-designs{path.suffix}"))
         observations.plot(self.groups(runs), path)
+
+
+def _work_lines(rows: Sequence[Record]) -> list[Sequence[str]]:
+    """Work of the best designs' episodes, in thousands."""
+    names = {"actuation_work": "actuation", "stiffness_work": "stiffness", "net_stiffness_work": "net of stiffness"}
+    lines: list[Sequence[str]] = [["work of best designs, thousands", "arm", "seeds", *names.values(), "of each seed"]]
+    for row in rows:
+        known = {name: [value / 1000 for value in row["work"][name] if value is not None] for name in names}
+        if all(known.values()):
+            own = known["stiffness_work"]
+            cells = [f"{mean(values):,.0f}" for values in known.values()]
+            lines.append([row["task"], row["arm"], str(len(own)), *cells, " ".join(f"{value:.0f}" for value in own)])
+    return lines
+
+
+def mean_of_steps(curve: Sequence[Sequence[float]], end: float) -> float:
+    """Returns the mean over env-steps up to an end of a value that changes at each point and is 0 before the first."""
+    known = [(steps, value) for steps, value in [(0, 0.0), *curve] if steps < end]
+    ends = [*(steps for steps, _ in known[1:]), end]
+    return sum(value * (until - steps) for (steps, value), until in zip(known, ends, strict=True)) / end
+
+
+def _rises(curve: Sequence[Sequence[float]]) -> list[Sequence[float]]:
+    """Returns the points of a curve that are above the one before, the first, and the last."""
+    return [curve[i] for i in range(len(curve)) if i in (0, len(curve) - 1) or curve[i][1] > curve[i - 1][1]]
 
 
 def _first(curve: Sequence[Sequence[float]], level: float) -> float | None:
@@ -155,7 +187,7 @@ def _pairs(rows: Sequence[Record], arm: str) -> Iterator[tuple[str, tuple[Record
 
 def _gain_lines(arm: str, pairs: Mapping[str, tuple[Record, Record]]) -> list[Sequence[str]]:
     """An arm minus the control, task by task and over all of them."""
-    kinds = {"scores": "score", "robust": "robust score"}
+    kinds = {"scores": "score", "robust": "robust score", "means_of_curve": "mean of curve"}
     lines: list[Sequence[str]] = [
         [f"{arm} minus {CONTROL}", *(cell for name in kinds.values() for cell in (name, "P"))]
     ]
@@ -180,12 +212,15 @@ def _gain_lines(arm: str, pairs: Mapping[str, tuple[Record, Record]]) -> list[Se
 def _note(counts: Sequence[int]) -> str:
     """How the numbers are to be read."""
     note = (
-        "Candidates: how many were played, most for one episode. The best design is the one of the last"
-        " survivors with the highest robust score, the mean over starts a hair apart. Score: of its episode from the"
+        "Work: supplied in an episode by changes of actuation and of stiffness, and what changes of stiffness supply"
+        " less what they take back; of each seed, that of stiffness. Candidates: how many were played, most for one"
+        " episode. The best design is the one of the last survivors with the highest robust score, the mean over starts a"
+        " hair apart, and last reward. Score: of its episode from the"
         " exact start, without the last reward; return: the sum of all rewards, beside the best of published runs of"
         " EvoGym's genetic algorithm (100 bodies trained), how many runs had a survivor that reaches it, and the median"
         " of env-steps until they had. P: how often a run of"
-        f" the arm beats one of {CONTROL}. Interquartile means: scores in units of the published return."
+        f" the arm beats one of {CONTROL}. Interquartile means: scores in units of the published return. Mean of"
+        " curve: the best score so far, over all env-steps; it tells runs apart that end at the same ceiling."
     )
     seeds = min(counts)
     if seeds > 1:

@@ -19,7 +19,7 @@ from evogymcm.envs.render import palette
 _BLUE, _RED, _GREEN, _PINK, _YELLOW, _GREY = "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "0.5"
 _COLOURS: Mapping[str, str] = {
     "control-only": _BLUE, "co-optimisation": _RED,
-    "fixed": _BLUE, "reactive": _RED, "invariant": _GREEN,
+    "fixed": _BLUE, "reactive": _RED, "invariant": _GREEN, "priced": _PINK,
     "none": _GREY, "body": _BLUE, "message": _GREEN, "attention": _RED, "mlp": _PINK,
 }  # fmt: skip
 _PAPERS_VOXEL = (1, 2)  # row and column, from 0, of the voxel whose signals the paper shows

@@ -43,7 +43,7 @@ def baselines() -> dict[tuple[str, str], dict[str, Any]]:
 
     | key | what |
     | --- | --- |
-    | `task`, `material`, `random_bodies`, `pool`, `stiffness`, `edge_rule` | what it was trained on, see `TrainConfig` |
+    | `task`, `material`, `random_bodies`, `pool`, `stiffness`, `edge_rule` | the training, see `TrainConfig` |
     | `env_steps`, `seconds`, `seed`, `ppo` | how long, and with which settings |
     | `command` | what repeats the training |
     | `policy` | which policy of that run it is: "final" or "best" |

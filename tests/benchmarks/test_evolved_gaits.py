@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 
-from benchmarks.experiments.evolved_gaits import SIZES, EvolvedGaits
+from benchmarks.experiments.evolved_gaits import SIZES, EvolvedGaits, mean_of_steps
 from evogymcm.algos.codesign import EvolveConfig
 from evogymcm.envs import tasks
 
@@ -51,10 +51,24 @@ def test_runs_end_in_tables(tmp_path, monkeypatch):
     assert rows[0]["returns"] == [run["best"]["return"] for run in runs if run["label"] == "fixed"]
     text = TINY.table(rows)
     assert "reactive minus fixed" in text
+    for run in runs:
+        values = [value for _, value in run["returns"]]
+        assert values[:-1] == sorted(set(values[:-1]))  # of what stands still, only the end
+        assert run["curve"][-1][1] == max(value for _, value in run["curve"])
     assert "0 of 2" in text
+    work = [
+        line.split("|")[1:-1] for line in text.splitlines()[text[: text.index("work of best")].count("\n") + 2 :][:3]
+    ]
+    assert [cells[1].strip() for cells in work] == ["fixed", "reactive", "invariant"]
+    assert [int(cells[4]) > 0 for cells in work] == [False, True, False]  # of stiffness
     pytest.importorskip("matplotlib")
     TINY.plot(runs, tmp_path / "curves.png")
     assert (tmp_path / "curves-designs.png").stat().st_size > 0
+
+
+def test_a_curve_counts_from_each_point_on():
+    assert mean_of_steps([[10, 1.0], [20, 3.0], [120, 9.0]], 40) == (10 * 1 + 20 * 3) / 40
+    assert mean_of_steps([[50, 2.0]], 40) == 0.0
 
 
 def test_published_returns_are_reached_where_a_return_is_at_least_as_high():
@@ -67,7 +81,15 @@ def test_published_returns_are_reached_where_a_return_is_at_least_as_high():
         "connections": None,
         "stiffness": None,
     }
-    told = {"task": "Walker-v0", "label": "fixed", "finished": True, "best": best, "env_steps": 50, "played": 9}
+    told = {
+        "task": "Walker-v0",
+        "label": "fixed",
+        "finished": True,
+        "best": best,
+        "env_steps": 50,
+        "played": 9,
+        "curve": [[10, 3.0]],
+    }
     runs = [
         told | {"seed": 0, "seconds": 1.0, "returns": [[10, 3.0], [20, 10.55], [30, 10.6]]},
         told | {"seed": 1, "seconds": 1.0, "returns": [[10, 3.0], [40, 10.7]]},

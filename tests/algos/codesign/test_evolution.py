@@ -43,9 +43,10 @@ def test_a_stopped_run_ends_like_one_that_was_not(tmp_path, changes):
     record = RunRecord.read(tmp_path / "run")
     assert record.finished
     assert record.env_steps == whole.env_steps
-    robust = {row["index"]: row["robust_score"] for row in whole.rows if row["event"] == "evaluate"}
-    assert len(robust) == config.survivors
-    assert whole.best.index == max(robust, key=robust.__getitem__)
+    last = [row for row in whole.rows if row["event"] == "evaluate"]
+    worth = {row["index"]: row["robust_score"] + row["return"] - row["score"] for row in last}
+    assert len(worth) == config.survivors
+    assert whole.best.index == max(worth, key=worth.__getitem__)
     assert record.ranked()[0] == record.best
     assert record.best["index"] == whole.best.index
     assert record.best["fitness"] <= max(score for _, score in record.curve)
@@ -65,6 +66,17 @@ def test_what_is_stored_scores_as_it_says(tmp_path, changes):
     assert {"robust_score", "spread", "stiffness_work"} <= row.keys()
     if "stiffness" in changes:
         assert (saved.stiffness[0][result.best.design.body.occupancy] == 2.0).all()
+
+
+def test_a_design_whose_simulation_ends_in_instability_is_not_the_best():
+    state = Evolution(TINY)
+    while not state.is_finished:
+        state.advance()
+    winner = state.best
+    for row in state.rows:
+        if (row["event"], row["index"]) == ("evaluate", winner.individual.index):
+            row["return"] -= 3.0  # the penalty, which no score holds
+    assert state.best is not winner
 
 
 def test_survivors_are_the_best_of_all_and_few_of_each_body():
