@@ -214,8 +214,8 @@ def _note(counts: Sequence[int]) -> str:
     note = (
         "Work: supplied in an episode by changes of actuation and of stiffness, and what changes of stiffness supply"
         " less what they take back; of each seed, that of stiffness. Candidates: how many were played, most for one"
-        " episode. The best design is the one of the last survivors with the highest robust score, the mean over starts a"
-        " hair apart, and last reward. Score: of its episode from the"
+        " episode. The best design is the one of the last survivors with the highest robust score, the mean over starts"
+        " a hair apart, and last reward. Score: of its episode from the"
         " exact start, without the last reward; return: the sum of all rewards, beside the best of published runs of"
         " EvoGym's genetic algorithm (100 bodies trained), how many runs had a survivor that reaches it, and the median"
         " of env-steps until they had. P: how often a run of"

@@ -100,8 +100,8 @@ class Evolution:
         """The best one so far, None before there is one; at the end the survivor with the highest robust score and last
         reward, less what its work costs where that is asked for.
 
-        The fittest is often fragile: chosen by one episode, it may owe its lead to a contact that a hair would undo. And
-        a score leaves out an episode's last reward, so that a simulation may end in instability at no cost to it.
+        The fittest is often fragile: chosen by one episode, it may owe its lead to a contact that a hair would undo.
+        And a score leaves out an episode's last reward: a simulation may end in instability at no cost to it.
         """  # noqa: D205
         weights = check_work_weight(self.config.work_weight) or (0.0, 0.0)
         worth = {

@@ -21,8 +21,8 @@ class EvolveResult:
     """Outcome of an evolution.
 
     Attributes:
-        best: the best design: where it is finished, of the last survivors the one with the highest robust score and last
-            reward.
+        best: the best design: where it is finished, of the last survivors the one with the highest robust score and
+            last reward.
         waves: its gait, to be used with `play` and `evaluate`.
         rows: the table, see `Evolution`.
         env_steps: env-steps simulated in all.
