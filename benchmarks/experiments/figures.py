@@ -16,7 +16,7 @@ from evogymcm.algos.codesign.design import Design
 from evogymcm.body import STIFFNESS_HIGH, STIFFNESS_LOW
 from evogymcm.envs.render import palette
 
-_BLUE, _RED, _GREEN, _PINK, _YELLOW, _GREY = "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "0.5"
+_BLUE, _RED, _GREEN, _PINK, _GREY = "#0072b2", "#d55e00", "#009e73", "#cc79a7", "0.5"
 _COLOURS: Mapping[str, str] = {
     "control-only": _BLUE, "co-optimisation": _RED,
     "fixed": _BLUE, "reactive": _RED, "invariant": _GREEN, "priced": _PINK,

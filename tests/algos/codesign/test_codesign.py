@@ -278,7 +278,7 @@ STARTS = replace(TINY, budget=4, eval_starts=3, ppo=replace(PPO, eval_starts=2, 
 SEARCHED = replace(STARTS, material="invariant", search=SearchConfig(rounds=1, acceptance="paper"))
 
 
-@pytest.mark.parametrize("config", [STARTS, replace(SEARCHED, selection="robust")])
+@pytest.mark.parametrize("config", [STARTS, replace(STARTS, selection="robust"), replace(SEARCHED, selection="robust")])
 def test_fitness_is_what_the_selection_says_from_as_many_starts_as_the_settings(config, tmp_path):
     run = RunFolder(tmp_path / "run", asdict(config))
     calls = []
