@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 import torch
 
-from evogymcm.algos import PPOConfig, RunFolder, Trainer, load_policy, train
+from evogymcm.algos import PPOConfig, RunFolder, load_policy, train
 from evogymcm.algos.learning import TrainConfig
 from evogymcm.algos.learning.bodies import RandomBodies, held_out_bodies
 from evogymcm.algos.learning.training import make_trainer
-from tests.algos.toy_env import ToyEnv
 
 TINY = PPOConfig(total_steps=768, num_worlds=8, rollout_steps=16, epochs=1, minibatch=64, hidden=8, eval_interval=0)
 CONFIG = TrainConfig("Sprint-v0", random_bodies=(3, 3), ppo=replace(TINY, eval_worlds=5))
@@ -119,14 +118,19 @@ def test_what_does_not_go_together_is_said(wrong, said):
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a GPU")
 def test_learning_on_a_gpu_is_that_on_the_processor_but_for_rounding(tmp_path):
-    config, results = replace(TINY, total_steps=256, eval_interval=128), {}
-    for device in ("cpu", "cuda"):
-        run = RunFolder(tmp_path / device, {})
-        results[device] = Trainer(ToyEnv, replace(config, device=device)).train(run=run)
-        assert {value.device.type for value in run.load("final")["actor"].values()} == {"cpu"}
-    for name, value in results["cpu"].actor.state_dict().items():
-        torch.testing.assert_close(results["cuda"].actor.state_dict()[name], value, rtol=1e-2, atol=1e-3)
-    for device in ("cpu", "cuda"):
-        stopped = Trainer(ToyEnv, replace(config, device=device))
-        stopped.load_state_dict(RunFolder.open(tmp_path / device).load("checkpoint")["trainer"])
-        stopped.close()
+    learn_on_both(tmp_path, ("cpu", "cuda"))
+
+
+def learn_on_both(folder, devices):
+    ppo, weights, scores = replace(CONFIG.ppo, total_steps=256, eval_interval=128), [], []
+    for number, device in enumerate(devices):
+        config, run = replace(CONFIG, ppo=replace(ppo, device=device)), RunFolder(folder / str(number), {})
+        with make_trainer(config, num_threads=1) as trainer:
+            scores.append(trainer.train(run=run).final.score)
+        weights.append(run.load("final")["actor"])
+        with make_trainer(config, num_threads=1) as stopped:
+            stopped.load_state_dict(run.load("checkpoint")["trainer"])
+            np.testing.assert_array_equal(stopped.evaluate().score, scores[-1])
+    assert {value.device.type for values in weights for value in values.values()} == {"cpu"}
+    torch.testing.assert_close(*weights, rtol=1e-2, atol=1e-3)
+    np.testing.assert_allclose(*scores, rtol=1e-2, atol=1e-3)
