@@ -136,7 +136,7 @@ def test_search_box_finds_pages_of_the_site_opened_from_disk(tmp_path):
     subprocess.run(command, cwd=ROOT, check=True, env=os.environ | {"NO_MKDOCS_2_WARNING": "1"})
     options = ["--headless", "--no-sandbox", "--disable-gpu", "--virtual-time-budget=8000", "--dump-dom"]
     page = f"{(site / 'index.html').as_uri()}?q=hardness"
-    done = subprocess.run([BROWSER, *options, page], capture_output=True, text=True, check=True, timeout=60)
+    done = subprocess.run([BROWSER, *options, page], capture_output=True, text=True, check=True, timeout=600)
     found = re.findall(r'href="([^"]*)" class="md-search-result__link"', done.stdout)
     assert any(target.startswith(f"{(site / 'fabrication.html').as_uri()}") for target in found)
 

@@ -138,16 +138,19 @@ def extra_modules():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "code", [pytest.param(QUICK_START + RENDER + IMPORT_ALL, id="import"), pytest.param(LEARN, id="learn")]
-)
-def test_extras_are_optional(code, tmp_path):
+def test_extras_are_optional(tmp_path):
     blocked = extra_modules()
     assert {"pygame", "imageio", "matplotlib", "stable_baselines3", "cma", "ribs", "plotly", "tensorboard"} <= blocked
     assert {"distributed", "nicegui", "ray", "wandb"} <= blocked  # their tests would be skipped in silence
     assert not blocked & {"numpy", "torch", "gymnasium", "numba", "torchrl", "tqdm", "tyro"}
     start = f"import sys\nsys.modules.update(dict.fromkeys({sorted(blocked)!r}))\n"
-    run(sys.executable, "-c", start + code, cwd=tmp_path, env=os.environ | {"PYTHONPATH": str(ROOT)})
+    run(
+        sys.executable,
+        "-c",
+        start + QUICK_START + RENDER + LEARN + IMPORT_ALL,
+        cwd=tmp_path,
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+    )
 
 
 @pytest.mark.parametrize("page", ["README.md", "docs/index.md"])

@@ -67,7 +67,7 @@ class EvolvedGaits(Comparison):
     """  # noqa: D205
 
     tasks: tuple[str, ...] = tuple(PAPER)
-    arms: tuple[str, ...] = tuple(ARMS)[:3]
+    arms: tuple[str, ...] = (CONTROL, "reactive", "invariant")
     seeds: tuple[int, ...] = (0, 1, 2, 3, 4)
     evolve: EvolveConfig = field(default_factory=lambda: EvolveConfig(max_env_steps=2_000_000, num_threads=1))
 

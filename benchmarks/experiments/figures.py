@@ -16,7 +16,7 @@ from evogymcm.algos.codesign.design import Design
 from evogymcm.body import STIFFNESS_HIGH, STIFFNESS_LOW
 from evogymcm.envs.render import palette
 
-_BLUE, _RED, _GREEN, _PINK, _YELLOW, _GREY = "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "0.5"
+_BLUE, _RED, _GREEN, _PINK, _GREY = "#0072b2", "#d55e00", "#009e73", "#cc79a7", "0.5"
 _COLOURS: Mapping[str, str] = {
     "control-only": _BLUE, "co-optimisation": _RED,
     "fixed": _BLUE, "reactive": _RED, "invariant": _GREEN, "priced": _PINK,
@@ -112,15 +112,18 @@ def best_curves(runs: Sequence[Mapping[str, Any]], tasks: Sequence[str], arms: S
 
 
 def designs(runs: Sequence[Mapping[str, Any]], path: Path) -> None:
-    """Draws the best design of every run, voxels by type and, where it is searched, their stiffness."""
-    shown = sorted((run for run in runs if run["best"]), key=lambda run: (run["task"], run["label"], run["seed"]))
-    if not shown:
+    """Draws the best design of each arm (rows) and task: voxels by type and, where it is searched, their stiffness."""
+    best: dict[tuple[str, str], Mapping[str, Any]] = {}
+    for run in sorted((run for run in runs if run["best"]), key=lambda run: (run["label"], run["task"])):
+        key = run["label"], run["task"]
+        if key not in best or run["best"]["fitness"] > best[key]["best"]["fitness"]:
+            best[key] = run
+    if not best:
         return
-    seeds = len({run["seed"] for run in shown})
-    with _panels(path, len(shown), seeds if seeds > 1 else 3, (2.1, 2.4)) as axes:
-        for axis, run in zip(axes, shown, strict=True):
+    with _panels(path, len(best), len({task for _, task in best}), (2.1, 2.4)) as axes:
+        for axis, ((arm, task), run) in zip(axes, best.items(), strict=True):
             _design(axis, run["best"])
-            axis.set_title(f"{run['task']}\n{run['label']}, seed {run['seed']}: {run['best']['fitness']:.2f}", size=6)
+            axis.set_title(f"{task}\n{arm}, seed {run['seed']}: {run['best']['fitness']:.2f}", size=7)
 
 
 def _design(axis: Any, best: Mapping[str, Any]) -> None:

@@ -14,10 +14,10 @@ from benchmarks.experiments.experiment import Comparison, Record, Tell
 from benchmarks.experiments.tables import table, with_interval
 from evogymcm._settings import Material, check_choice
 from evogymcm.algos.analysis import summarise
-from evogymcm.algos.baselines import baselines, has_baseline, load_baseline
+from evogymcm.algos.baselines import load_baseline
 from evogymcm.algos.codesign import BodyPPOConfig, Design, score_alone, train_designs
 from evogymcm.algos.codesign.inner_loop import Policy
-from evogymcm.algos.learning import PPOConfig, TrainConfig, train
+from evogymcm.algos.learning import PPOConfig, Progress, TrainConfig, train
 from evogymcm.algos.learning.bodies import N_HELD_OUT, held_out_bodies
 from evogymcm.algos.learning.initial import following
 from evogymcm.algos.runs import RunFolder, RunRecord, load_policy
@@ -90,9 +90,7 @@ class Universal(Comparison):
                 raise ValueError(f"{name}: got {getattr(self, name)}, must be at least 1")
         if BASELINE in self.arms:
             for task in self.tasks:
-                if not has_baseline(task, self.material):
-                    there = ", ".join(f"{name} ({material})" for name, material in baselines())
-                    raise ValueError(f"arms: there is no baseline of {task} ({self.material}), only of {there}")
+                load_baseline(task, self.material)  # is there one?
 
     @property
     def allowed_arms(self) -> tuple[str, ...]:
@@ -201,17 +199,10 @@ class UniversalJob:
         scores: dict[str, list[float]] = record["scores"]
         policy: Policy | None = None
         if self.arm in LEARNT:
-            settings = self.experiment.training(self.task, self.arm, self.seed)
-            learnt = RunFolder(run.path / "policy", asdict(settings), resume=resume)
-
-            def told(state: Any) -> None:
-                tell(state.env_steps, state.row.get("score"))
-
-            result = train(settings, run=learnt, progress=told, should_stop=should_stop, num_threads=1)
-            record |= {name: RunRecord.read(learnt.path).as_dict()[name] for name in ("curve", "env_steps", "seconds")}
-            if not result.finished:
+            record |= self._learn(run.path / "policy", resume, tell, should_stop)
+            if not record.pop("is_learnt"):
                 return record
-            policy = load_policy(learnt.path / "final.pt").state
+            policy = load_policy(run.path / "policy" / "final.pt").state
         elif self.arm == BASELINE:
             policy = load_baseline(self.task, self.experiment.material).state
         if policy is not None:
@@ -220,11 +211,12 @@ class UniversalJob:
             if self.experiment.material == "reactive":
                 scores[IDLE] = self._score([_without_stiffness(policy)] * self.experiment.bodies, "invariant")
         before, ppo = record["env_steps"], self.experiment.of_body(self.arm, self.seed)
+        place = RunFolder(run.path / "bodies", {"policies": self.arm}, resume=resume)
         trained = train_designs(
             self._make_env(self.experiment.material),
             self._designs(self.experiment.trained_on),
             ppo if policy is None else following(ppo, policy),
-            run=(place := RunFolder(run.path / "bodies", {"policies": self.arm}, resume=resume)),
+            run=place,
             initial=None if policy is None else [policy] * self.experiment.trained_on,
             progress=lambda state: tell(before + state.env_steps, state.row.get("score")),
             should_stop=should_stop,
@@ -232,10 +224,23 @@ class UniversalJob:
         if trained.finished:
             scores[ALONE if policy is None else TUNED] = self._score(trained.last)
             last = place.rows()[-1]
-            record["env_steps"], record["seconds"] = before + last["env_steps"], record["seconds"] + last["seconds"]
+            record |= {name: record[name] + last[name] for name in ("env_steps", "seconds")}
             record["finished"] = True
             run.write_json("result.json", record)
         return record
+
+    def _learn(self, folder: Path, resume: bool, tell: Tell, should_stop: Callable[[], bool]) -> Record:
+        """Trains one policy for all bodies, and returns what is to be told of that."""
+        settings = self.experiment.training(self.task, self.arm, self.seed)
+        run = RunFolder(folder, asdict(settings), resume=resume)
+
+        def progress(state: Progress) -> None:
+            tell(state.env_steps, state.row.get("score"))
+
+        result = train(settings, run=run, progress=progress, should_stop=should_stop, num_threads=1)
+        told = RunRecord.read(folder).as_dict()
+        kept = {name: told[name] for name in ("curve", "env_steps", "seconds")}
+        return kept | {"is_learnt": result.finished}
 
     def _make_env(self, material: Material) -> partial[SoftRobotEnv]:
         return partial(SoftRobotEnv, self.task, material=material, num_threads=1, grid_shape=SHAPE)
@@ -247,7 +252,7 @@ class UniversalJob:
         """Returns the robust score of each of the first bodies under its policy."""
         make_env = self._make_env(material or self.experiment.material)
         found = score_alone(make_env, self._designs(len(policies)), policies, starts=_STARTS)
-        return [float(value) for value in found.robust]
+        return found.robust.tolist()  # type: ignore[no-any-return]
 
 
 def _without_stiffness(policy: Policy) -> Policy:

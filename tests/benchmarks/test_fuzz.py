@@ -28,8 +28,8 @@ def test_a_few_steps(fuzz):
 
 @pytest.mark.slow
 def test_many_steps(fuzz):
-    summary = fuzz.fuzz(200_000, seed=2)
-    assert summary.env_steps >= 200_000
+    summary = fuzz.fuzz(60_000, seed=2)
+    assert summary.env_steps >= 60_000
     assert summary.unstable > 0  # otherwise the throw was not hard enough
 
 

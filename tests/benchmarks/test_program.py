@@ -2,6 +2,7 @@
 
 import contextlib
 import json
+import pickle
 import queue
 import subprocess
 import sys
@@ -19,13 +20,47 @@ from benchmarks.experiments.program import main
 from benchmarks.experiments.tuned import TUNED
 from evogymcm import robots
 from evogymcm.algos.runs import find_origin
+from tests.registries import own_registries, shorten
 
 PROGRAM = Path(__file__).resolve().parents[2] / "benchmarks" / "run_suite.py"
 
 
-def program(*arguments, **options):
+def program(*arguments):
+    """What the program answers in a process of its own: its status, and what it writes."""
     command = [sys.executable, str(PROGRAM), *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, check=False, cwd=PROGRAM.parents[1], **options)
+    done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=PROGRAM.parents[1])
+    return done.returncode, done.stdout, done.stderr
+
+
+class OneThread(ThreadPoolExecutor):
+    """Does one thing after another, and gives and takes what a process could be given and give."""
+
+    def submit(self, fn, /, *args):
+        return super().submit(lambda: pickled(fn(*pickled(args))))
+
+
+def pickled(value):
+    return pickle.loads(pickle.dumps(value))
+
+
+@pytest.fixture
+def program_here(monkeypatch, capsys):
+    """Is called as `program`, and stays in this process."""
+
+    @contextlib.contextmanager
+    def thread(count):
+        link = workers._Link(queue.Queue(), threading.Event())
+        monkeypatch.setattr(workers, "_link", link)
+        with OneThread(1) as pool:
+            yield pool, link
+
+    def call(*arguments):
+        status = main([*map(str, arguments)])
+        return status, *capsys.readouterr()
+
+    monkeypatch.setattr(workers, "_workers", thread)
+    with own_registries():
+        yield call
 
 
 def test_every_size_has_a_command_and_the_command_that_size():
@@ -92,7 +127,7 @@ def test_tuned_settings_are_those_of_their_task_alone():
     assert all(of_task.evidence for of_task in TUNED.values())
 
 
-def test_a_failed_run_does_not_take_the_others_with_it(tmp_path, monkeypatch, capsys):
+def test_a_failed_run_does_not_take_the_others_with_it(tmp_path, monkeypatch, program_here):
     def run_job(job, folder, resume):
         if job.arm == "control-only":
             raise OSError("disk full")
@@ -102,18 +137,12 @@ def test_a_failed_run_does_not_take_the_others_with_it(tmp_path, monkeypatch, ca
             "curve": [(0, 0.1), (1000, 9.0)], "origin": find_origin(),
         }  # fmt: skip
 
-    @contextlib.contextmanager
-    def threads(count):
-        with ThreadPoolExecutor(count) as pool:
-            yield pool, workers._Link(queue.Queue(), threading.Event())
-
     monkeypatch.setattr(workers, "_run_job", run_job)
-    monkeypatch.setattr(workers, "_workers", threads)
-    assert main(["A", "--output", str(tmp_path / "run")]) == 1
-    output = capsys.readouterr()
-    assert "disk full" in output.err
-    assert "Walker-v0-control-only-seed0 failed" in output.err
-    assert "--resume" in output.out
+    status, out, err = program_here("A", "--output", tmp_path / "run")
+    assert status == 1
+    assert "disk full" in err
+    assert "Walker-v0-control-only-seed0 failed" in err
+    assert "--resume" in out
     results = json.loads((tmp_path / "run" / "results.json").read_text())
     assert [run["label"] for run in results["runs"]] == ["co-optimisation"]
     assert not results["finished"]
@@ -127,7 +156,7 @@ def test_a_failed_run_does_not_take_the_others_with_it(tmp_path, monkeypatch, ca
         ("A --ppo.total-steps 300 --ppo.num-worlds 2", 2, 320),
         (
             "C --tasks Walker-v0 --arms fixed reactive invariant --codesign.population 3 --codesign.max-env-steps 2000"
-            " --codesign.ppo.total-steps 256",
+            " --codesign.ppo.total-steps 256 --codesign.finetune-steps 256",
             3,
             None,
         ),
@@ -135,33 +164,36 @@ def test_a_failed_run_does_not_take_the_others_with_it(tmp_path, monkeypatch, ca
         ("gaits --short-steps 5000 --held-out 1 --gait.env-steps 6000 --gait.first 4 --gait.trial-steps 50", 3, None),
     ],
 )
-def test_a_tiny_experiment_from_end_to_end(arguments, n_runs, env_steps, tmp_path):
+def test_a_tiny_experiment_from_end_to_end(arguments, n_runs, env_steps, tmp_path, program_here):
     arguments = [*arguments.split(), "--output", tmp_path / "run"]
-    first = program(*arguments)
-    assert first.returncode == 0, first.stderr
+    begin = program if arguments[0] == "A" else program_here  # processes are the same for all experiments
+    if begin == program_here:
+        shorten("Walker-v0", 60)
+    status, out, err = begin(*arguments)
+    assert status == 0, err
     results = json.loads((tmp_path / "run" / "results.json").read_text())
     assert results["finished"]
     assert [run["finished"] for run in results["runs"]] == [True] * n_runs
     assert env_steps is None or {run["env_steps"] for run in results["runs"]} == {env_steps}
-    assert (tmp_path / "run" / "table.md").read_text() in first.stdout
+    assert (tmp_path / "run" / "table.md").read_text() in out
     assert parse_command(results["command"]).settings() == results["suite"]
     assert (tmp_path / "run" / "curves.png").exists()
     if arguments[0] == "contexts":
         return  # what follows is the same for all experiments
-    assert program(*arguments).returncode == 2
-    again = program(*arguments, "--resume")
-    assert again.returncode == 0, again.stderr
+    assert program_here(*arguments)[0] == 2
+    status, _, err = program_here(*arguments, "--resume")
+    assert status == 0, err
     assert json.loads((tmp_path / "run" / "results.json").read_text())["summary"] == results["summary"]
     if arguments[0] == "A":
-        _check_signals(tmp_path / "run", results["runs"])
+        _check_signals(tmp_path / "run", results["runs"], program_here)
     if arguments[0] == "C":
         assert [run["label"] for run in results["runs"] if "signals" in run] == ["reactive"]
         assert (tmp_path / "run" / "Walker-v0-reactive-seed0" / "signals.json").exists()
         for head in ("reactive minus fixed", "invariant minus fixed", "searched stiffness", "stiffness before impact"):
-            assert head in first.stdout
+            assert head in out
 
 
-def _check_signals(folder, runs):
+def _check_signals(folder, runs, program_here):
     """Only the run with stiffness control has signals, of an episode that scores as the run's last policy."""
     control, run = runs
     assert "signals" not in control
@@ -174,14 +206,15 @@ def _check_signals(folder, runs):
     assert {len(voxel["stiffness"]) for voxel in record["voxels"]} == {500}
     path.unlink()
     given = ["--folders", path.parent, "--output", folder.parent / "signals"]
-    done = program("signals", *given)
-    assert done.returncode == 0, done.stderr
-    assert path.parent.name in done.stdout
+    status, out, err = program_here("signals", *given)
+    assert status == 0, err
+    assert path.parent.name in out
     assert json.loads(path.read_text()) == record
-    wrong = program("signals", "--folders", folder / "Walker-v0-control-only-seed0", folder, *given[2:], "--overwrite")
-    assert wrong.returncode == 1
-    assert "invariant" in wrong.stderr
-    assert "final.pt" in wrong.stderr
+    wrong = ["--folders", folder / "Walker-v0-control-only-seed0", folder, *given[2:], "--overwrite"]
+    status, _, err = program_here("signals", *wrong)
+    assert status == 1
+    assert "invariant" in err
+    assert "final.pt" in err
 
 
 @pytest.mark.slow
@@ -191,6 +224,6 @@ def test_a_killed_experiment_leaves_no_worker_behind(tmp_path):
     while suite.poll() is None and not list(tmp_path.glob("run/*/curve.jsonl")):
         time.sleep(0.1)
     suite.kill()
-    suite.communicate(timeout=20)  # until no process holds its output any more
+    suite.communicate(timeout=300)  # until no process holds its output any more
     (curve,) = tmp_path.glob("run/*/curve.jsonl")
     assert len(curve.read_text().splitlines()) < 200  # it had not come to its end

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from benchmarks.experiments.universal import ALONE, IDLE, TUNED, UNSEEN, Universal
-from evogymcm.algos import PPOConfig, load_policy
+from evogymcm.algos import PPOConfig, baselines, load_policy
 from evogymcm.algos.codesign import Design, score_alone
 from evogymcm.algos.learning.bodies import held_out_bodies
 from evogymcm.algos.runs import RunFolder
@@ -96,10 +96,6 @@ def test_other_networks_learn_one_body_each_for_as_long_as_fine_tuning_or_longer
         ({"bodies": 65}, "got 2 and 65"),
         ({"finetune_steps": 0}, "finetune_steps: got 0"),
         ({"ppo": replace(PPO, seed=3)}, r"ppo.seed: got 3"),
-        (
-            {"arms": ("baseline",), "tasks": ("CaveCrawler-v0",), "material": "reactive"},
-            "no baseline of CaveCrawler-v0",
-        ),
         ({"arms": ("streams",)}, "arms: got"),
     ],
 )
@@ -107,6 +103,15 @@ def test_bad_settings(settings, text):
     arms = settings.pop("arms", ("stream",))
     with pytest.raises(ValueError, match=text):
         tiny(*arms, **settings)
+
+
+def test_the_packages_policy_is_scored_and_tuned_where_there_is_one(tmp_path, sprint_baseline):
+    with pytest.raises(ValueError, match=r"baseline: got 'Walker-v0' \(invariant\), the package has Sprint-v0"):
+        tiny("baseline")
+    for end in (".json", ".npz"):
+        (baselines.FOLDER / f"Sprint-v0-invariant{end}").rename(baselines.FOLDER / f"Walker-v0-invariant{end}")
+    record, _ = run(tiny("baseline"), tmp_path / "run")
+    assert {kind: len(scores) for kind, scores in record["scores"].items()} == {UNSEEN: 3, TUNED: 2}
 
 
 def test_table_and_figure(tmp_path):

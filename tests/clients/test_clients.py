@@ -13,6 +13,7 @@ from tests.clients.recipe import blocks
 from tests.clients.run import scripts
 
 QUICK = {"cleanrl_ppo", "pettingzoo_wrappers", "pyribs_cma_mae", "sb3_vec"}
+SLOW = {"sb3_single", "torchrl_sac"}  # the others start processes, or have libraries that are not here
 
 
 def skip_without_its_libraries(name):
@@ -30,15 +31,18 @@ def test_scripts_have_recipes():
     assert all(blocks(name) for name in scripts())
 
 
-@pytest.mark.parametrize("name", sorted(QUICK))
-def test_quick_script(name):
+@pytest.mark.parametrize(
+    "name", [*sorted(QUICK), *(pytest.param(name, marks=pytest.mark.slow) for name in sorted(SLOW))]
+)
+def test_script(name, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
     skip_without_its_libraries(name)
     runpy.run_path(str(scripts()[name]))["main"]()
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", sorted(set(scripts()) - QUICK))
-def test_script(name, tmp_path):
+@pytest.mark.parametrize("name", sorted(set(scripts()) - QUICK - SLOW))
+def test_script_in_a_process(name, tmp_path):
     skip_without_its_libraries(name)
     command = [sys.executable, str(scripts()[name])]
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}

@@ -133,23 +133,17 @@ def workers(task):
 
 
 if __name__ == "__main__":  # so that workers do not register it
-    USE(cm.register_task(Mine("Mine-v0", world="Walker-v0", spawn=(1, 1), time_limit=2, observes=("velocity",))))
+    task = cm.register_task(Mine("Mine-v0", world="Walker-v0", spawn=(1, 1), time_limit=2, observes=("velocity",)))
+    for use in USES:
+        use(task)
 """
 
 
-@pytest.mark.parametrize(
-    "use",
-    [
-        "vector",
-        pytest.param("torchrl", marks=pytest.mark.slow),
-        pytest.param("executor", marks=pytest.mark.slow),
-        pytest.param("workers", marks=pytest.mark.slow),
-    ],
-)
-def test_a_task_of_the_main_module_works_in_spawned_workers(tmp_path, use):
+@pytest.mark.parametrize("uses", ["vector", pytest.param("torchrl, executor, workers", marks=pytest.mark.slow)])
+def test_a_task_of_the_main_module_works_in_spawned_workers(tmp_path, uses):
     ppo = "codesign.CodesignConfig('Walker-v0').ppo.__class__(total_steps=8, num_worlds=2, rollout_steps=2, hidden=4)"
     script = tmp_path / "mine.py"
-    script.write_text(SCRIPT.replace("USE(", f"{use}(").replace("PPO", ppo))
+    script.write_text(SCRIPT.replace("USES", f"({uses},)").replace("PPO", ppo))
     done = subprocess.run(
         [sys.executable, str(script)],
         capture_output=True,
@@ -158,4 +152,4 @@ def test_a_task_of_the_main_module_works_in_spawned_workers(tmp_path, use):
         env=os.environ | {"PYTHONPATH": str(ROOT)},
         check=False,
     )
-    assert done.stdout.split() == ["[7.0]"], done.stderr[-3000:]
+    assert done.stdout.split() == ["[7.0]"] * (1 + uses.count(",")), done.stderr[-3000:]

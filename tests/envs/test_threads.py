@@ -28,7 +28,7 @@ def returns(action):
 engine.step(np.ones(engine.occupancy.shape))
 state = engine.state()
 with multiprocessing.get_context("fork").Pool(2) as pool:
-    forked = pool.map_async(returns, [0.7, 1.4], chunksize=1).get(timeout=60)
+    forked = pool.map_async(returns, [0.7, 1.4], chunksize=1).get(timeout=240)
 for action, got in zip([0.7, 1.4], forked):
     assert np.array_equal(returns(action), got)
 engine.close()

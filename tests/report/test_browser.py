@@ -45,7 +45,7 @@ def look_at(folder, page, width):
     (folder / "page.html").write_text(page.replace("</body>", PROBE), encoding="utf-8")
     (folder / "frame.html").write_text(FRAME.replace("WIDTH", str(width)), encoding="utf-8")
     command = [BROWSER, *OPTIONS, f"--user-data-dir={folder / 'profile'}", "--dump-dom", f"file://{folder}/frame.html"]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=600, check=True)
     found = json.loads(html.unescape(re.search("<pre>(.*?)</pre>", done.stdout)[1]))
     return found, [line for line in done.stderr.splitlines() if "CONSOLE" in line]
 

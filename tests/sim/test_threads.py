@@ -70,7 +70,7 @@ def test_a_thread_that_is_busy_elsewhere_is_not_waited_for(threads):
 
 @pytest.mark.parametrize("culprit", [0, 1])
 def test_after_an_error_no_thread_is_at_work(threads, culprit):
-    both, at_work, begun = threading.Barrier(2, timeout=60), set(), set()
+    both, at_work, begun = threading.Barrier(2, timeout=300), set(), set()
 
     def job(worlds, thread):
         if thread not in begun:

@@ -10,7 +10,7 @@ import threading
 from contextlib import contextmanager
 from urllib.parse import parse_qs, urlsplit
 
-START = 120  # seconds that a loaded machine may take
+START = 300  # seconds that a loaded machine may take
 
 
 class Server:
@@ -31,7 +31,7 @@ class Server:
     def ask(self, path, method="GET", host=None, **headers):
         """Returns status, headers and body of an answer; None leaves the cookie out."""
         headers = {"Host": host or f"127.0.0.1:{self.port}", "Cookie": self.cookie} | headers
-        connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=30)
+        connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=120)
         try:
             connection.putrequest(method, path, skip_host=True, skip_accept_encoding=True)
             for name, value in headers.items():
@@ -46,7 +46,7 @@ class Server:
     def kill(self):
         """Ends it as a power cut would."""
         os.kill(self.process.pid, signal.SIGKILL)
-        self.process.wait(30)
+        self.process.wait(120)
 
 
 @contextmanager
@@ -65,4 +65,4 @@ def serving(folder, port=0):
     finally:
         if process.poll() is None:
             process.send_signal(signal.SIGINT)
-            process.wait(30)
+            process.wait(120)

@@ -15,6 +15,8 @@ from evogymcm.studio.page import register
 from evogymcm.studio.sessions import Studio
 from evogymcm.studio.store import TERRAIN, Design, Store
 
+PATIENCE = 600  # tenths of a second that a loaded machine may take
+
 
 @pytest.fixture(name="studio")
 def _studio(tmp_path):
@@ -78,12 +80,12 @@ def test_a_body_is_drawn_painted_and_kept(studio):
         assert element(user, "text").value == "HHH\nV.V"
         await stroke(user, (0, 1), erase=True)
         await user.should_see("It falls apart: 2 pieces")
-        await other.should_see("It falls apart: 2 pieces", retries=20)  # the other tab shows the same
+        await other.should_see("It falls apart: 2 pieces", retries=PATIENCE)  # the other tab shows the same
         await press(user, "undo")
         await user.should_see("A body: 5 voxels")
         await press(other, "swap_vert")
         assert drawing.text == "V.V/HHH"
-        await user.should_see("A body: 5 voxels", retries=20)
+        await user.should_see("A body: 5 voxels", retries=PATIENCE)
         user.find(marker="grid").trigger("command", {"name": "brush", "brush": "R"})
         user.find(marker="grid").trigger("command", {"name": "shift", "by": [1, 1]})
         await press(user, "tool-fill")
@@ -114,7 +116,7 @@ def test_a_body_is_drawn_painted_and_kept(studio):
         assert not drawing.has_stiffness
         element(user, "name").value = "Ant <script>"
         user.find(marker="name").trigger("change")
-        await other.should_see("saved", retries=20)
+        await other.should_see("saved", retries=PATIENCE)
 
     visit(studio, act)
     studio.save()
@@ -130,16 +132,16 @@ def test_the_robot_is_watched(studio):
         watch = studio.open(id).watch
         await until(lambda: watch.player is not None and not watch.is_busy)
         player = watch.player
-        await press(user, "step", 0.3)
-        await press(user, "step", 0.3)
-        assert player.frame()["step"] == 2
-        await user.should_see("step 2", retries=20)
+        for step in (1, 2):
+            await press(user, "step")
+            await until(lambda step=step: player.frame()["step"] == step)
+        await user.should_see("step 2", retries=PATIENCE)
         element(user, "policy").value = "random"
         element(user, "speed").value = 100
         await until(lambda: not watch.is_busy)
         assert player.speed == 100
-        await press(user, "reset", 0.3)
-        assert player.frame()["step"] == 0
+        await press(user, "reset")
+        await until(lambda: player.frame()["step"] == 0)
         await stroke(user, (1, 0), erase=True)
         await until(lambda: player.frame()["types"].size == 4)
         assert not player.is_playing  # nobody looks on, for the page has no canvas here
@@ -178,8 +180,8 @@ def test_designs_begin_are_shared_compared_and_put_away(studio):
         assert link.startswith("http://test/open?")
         await other.open(link.removeprefix("http://test"))
         assert len(studio.store.entries()) == 1  # looking keeps nothing
-        await press(other, "keep", 0.2)
-        assert len(studio.store.entries()) == 2
+        await press(other, "keep")
+        await until(lambda: len(studio.store.entries()) == 2)
         await other.open("/open?design=" + quote('{"design": {"body": "HX"}}'))
         await other.should_see("This link holds no design")
         await user.open("/designs")
@@ -188,9 +190,9 @@ def test_designs_begin_are_shared_compared_and_put_away(studio):
         await press(user, "make")
         await user.should_see("allowed characters")
         element(user, "new-text").value = "HHH/V.V"
-        await press(user, "make", 0.2)
+        await press(user, "make")
+        await until(lambda: len(studio.store.entries()) == 3)
         ids = [entry.id for entry in studio.store.entries()]
-        assert len(ids) == 3
         await user.open(f"/compare/{ids[0]}/{ids[1]}")
         pair = studio.pair(ids[0], ids[1])
         await until(lambda: all(watch.player is not None for watch in pair.watches))
@@ -221,9 +223,9 @@ def test_a_design_that_cannot_be_kept_says_so(studio, monkeypatch):
         with monkeypatch.context() as patch:
             patch.setattr("os.fsync", full)
             await stroke(user, (0, 0))
-            await user.should_see("NOT SAVED: No space left on device", retries=40)
+            await user.should_see("NOT SAVED: No space left on device", retries=PATIENCE)
         studio.save()
-        await user.should_see("saved", retries=20)
+        await user.should_see("saved", retries=PATIENCE)
 
     visit(studio, act)
     assert studio.store.load(id).drawing.text.startswith("H")
@@ -240,7 +242,7 @@ def test_a_policy_is_trained_its_material_improved_and_bodies_evolve(studio):
         element(user, "learn-tabs").value = "material"
         session.drive("random")
         await press(user, "material-start")
-        await user.should_see("It needs the sine gait or a trained policy", retries=50)
+        await user.should_see("It needs the sine gait or a trained policy", retries=PATIENCE)
         element(user, "learn-tabs").value = "train"
         element(user, "train-steps").value = 1000
         await press(user, "train-start")

@@ -11,7 +11,7 @@ import pytest
 
 from evogymcm import Body
 from evogymcm.sim import World, WorldObject
-from evogymcm.studio import Drawing
+from evogymcm.studio import Drawing, sessions
 from evogymcm.studio.sessions import Studio
 from evogymcm.studio.store import TERRAIN, Design, Store
 
@@ -21,7 +21,7 @@ def _store(tmp_path):
     return Store(tmp_path / "robots")
 
 
-def wait_for(condition, seconds=10.0):
+def wait_for(condition, seconds=120.0):
     end = time.monotonic() + seconds
     while not condition():
         assert time.monotonic() < end
@@ -135,13 +135,14 @@ def test_a_full_disk_loses_no_design(store, monkeypatch):
 
     with monkeypatch.context() as patch:
         patch.setattr(os, "fsync", full)
+        patch.setattr(sessions, "_RETRY", 0.5)
         session.design.drawing.write("HHH/V.V")
         session.changed()
         wait_for(lambda: session.unsaved is not None)
         assert "space" in session.unsaved
         assert not session.is_saved
         assert (store.folder / "designs" / f"{id}.json").read_bytes() == before
-        assert not list((store.folder / "designs").glob(".*"))  # nothing half written takes room
+        wait_for(lambda: not list((store.folder / "designs").glob(".*")))  # nothing half written takes room
     wait_for(lambda: session.is_saved)  # there is room again: nobody has to do anything
     assert session.unsaved is None
     assert store.load(id).drawing.text == "HHH/V.V"

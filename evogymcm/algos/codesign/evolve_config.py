@@ -59,7 +59,7 @@ class EvolveConfig:
             between 1 and this. EvoGym's random bodies fill their grid, and some tasks need small ones.
         sigma: first step of gaits, where 1 is the spread of random ones; it evolves with them.
         eval_starts: starts, 1e-6 metres apart, from which the last survivors are played once more, see `evaluate`; the
-            best of them is the one with the highest robust score. 1 for none but the exact one.
+            best of them is the one with the highest robust score and last reward. 1 for none but the exact one.
         seed: seed of all random draws.
         num_threads: threads of the simulator, without effect on the result; None for all cores.
 

@@ -1,5 +1,6 @@
 """Co-design: bookkeeping of its phases, exact scores, budgets, and resuming to the same result."""
 
+import functools
 import threading
 from dataclasses import asdict, dataclass, replace
 from functools import partial
@@ -27,7 +28,7 @@ from evogymcm.algos.codesign.start import env_maker
 from evogymcm.envs import SoftRobotEnv, Task
 
 PPO = BodyPPOConfig(
-    total_steps=256, num_worlds=8, rollout_steps=16, epochs=2, minibatch=32, hidden=8, eval_interval=128
+    total_steps=256, num_worlds=8, rollout_steps=16, epochs=1, minibatch=64, hidden=8, eval_interval=128
 )  # fmt: skip
 TINY = CodesignConfig("Dash-v0", shape=(2, 3), population=4, budget=6, ppo=PPO, piece=2, finetune_steps=128)
 SEARCHING = replace(TINY, material="invariant", search=SearchConfig(rounds=3))
@@ -73,11 +74,21 @@ def told(result):
     return result.rows, result.env_steps, result.best.record()
 
 
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    """Gives a run that has come to its end: its folder, its result, and what it told. Each is made once."""
+
+    @functools.cache
+    def make(config):
+        seen, run = [], RunFolder(tmp_path_factory.mktemp("finished") / "run", asdict(config))
+        return run, codesign(config, run=run, progress=seen.append), seen
+
+    return make
+
+
 @pytest.mark.parametrize("config", RUNS.values(), ids=RUNS)
-def test_a_run_from_end_to_end(config, tmp_path):
-    seen = []
-    run = RunFolder(tmp_path / "run", asdict(config))
-    result = codesign(config, run=run, progress=seen.append)
+def test_a_run_from_end_to_end(config, finished):
+    run, result, seen = finished(config)
     assert result.finished
     rows = run.rows()
     trained = [row["index"] for row in rows if row["event"] == "train"]
@@ -97,7 +108,7 @@ def test_a_run_from_end_to_end(config, tmp_path):
 
 
 @pytest.mark.parametrize(("config", "is_blurred"), [(TINY, False), (SEARCHING, False), (SEARCHING, True)])
-def test_scores_and_returns_can_be_had_again_to_the_last_bit(config, is_blurred, tmp_path, monkeypatch):
+def test_scores_and_returns_can_be_had_again_to_the_last_bit(config, is_blurred, finished, tmp_path, monkeypatch):
     if is_blurred:  # scores of a batch that are off by more than rounding, and several candidates to choose from
         rng = np.random.default_rng(0)
 
@@ -108,8 +119,10 @@ def test_scores_and_returns_can_be_had_again_to_the_last_bit(config, is_blurred,
         monkeypatch.setattr("evogymcm.algos.codesign.scoring.score_together", blurred)
         search = SearchConfig(rounds=4, candidates=4, probability=1.0, acceptance="paper")
         config = replace(config, search=search)
-    run = RunFolder(tmp_path / "run", asdict(config))
-    codesign(config, run=run)
+        run = RunFolder(tmp_path / "run", asdict(config))
+        codesign(config, run=run)
+    else:
+        run, *_ = finished(config)
     last = {row["index"]: row for row in run.rows()}
     designs = [Design.from_record(row) for row in last.values()]
     policies = [run.load(f"policy-{index:04}") for index in last]
@@ -178,8 +191,8 @@ def test_inherited_policies_can_explore_anew(tmp_path):
         replace(TINY, inherit=True, inherit_std=0.0)
 
 
-def test_halving_saves_training():
-    whole, halved = codesign(TINY), codesign(replace(TINY, rungs=(0.5,), keep=(0.34,)))
+def test_halving_saves_training(finished):
+    (_, whole, _), halved = finished(TINY), codesign(replace(TINY, rungs=(0.5,), keep=(0.34,)))
     assert halved.finished
     assert halved.env_steps < whole.env_steps
     assert len(halved.rows) == len(whole.rows) == 6
@@ -205,8 +218,8 @@ def test_the_budget_of_env_steps_ends_a_run():
         pytest.param(SEARCHING, 8, marks=pytest.mark.slow),
     ],
 )
-def test_a_stopped_run_goes_on_to_the_same_result(config, calls, tmp_path):
-    whole, asked = codesign(config), iter(range(10**6))
+def test_a_stopped_run_goes_on_to_the_same_result(config, calls, finished, tmp_path):
+    (_, whole, _), asked = finished(config), iter(range(10**6))
     stopped = codesign(config, run=RunFolder(tmp_path / "run", {}), should_stop=lambda: next(asked) >= calls)
     assert not stopped.finished
     again = codesign(config, run=RunFolder(tmp_path / "run", {}, resume=True))
@@ -218,7 +231,7 @@ def test_a_stopped_run_goes_on_to_the_same_result(config, calls, tmp_path):
 
 @pytest.mark.parametrize("saves", [3, pytest.param(6, marks=pytest.mark.slow)])  # after each fine-tuning
 def test_a_run_killed_between_its_policies_and_its_state_goes_on_to_the_same_result(saves, tmp_path, monkeypatch):
-    ppo, search = replace(PPO, total_steps=128), SearchConfig(rounds=1)
+    ppo, search = replace(PPO, total_steps=128, epochs=2, minibatch=32), SearchConfig(rounds=1)
     config = replace(SEARCHING, ppo=ppo, search=search, finetune_steps=512)
     whole, save, seen = codesign(config, run=RunFolder(tmp_path / "whole", {})), RunFolder.save, iter(range(10**6))
     fitness = {(row["event"], row["generation_now"], row["index"]): row["fitness"] for row in whole.rows}

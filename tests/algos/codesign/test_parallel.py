@@ -1,9 +1,8 @@
-"""Independent runs on executors."""
+"""Independent runs on executors; those of processes are in test_workers.py."""
 
 import functools
-from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from dataclasses import replace
-from multiprocessing import get_context
 
 import pytest
 
@@ -55,35 +54,6 @@ def test_a_failed_run_is_raised(tmp_path):
     (tmp_path / "seed0" / "something").touch()
     with pytest.raises(FileExistsError, match="not a run folder"):
         dict(codesign_all(SHORT, tmp_path, Here()))
-
-
-@pytest.mark.slow
-def test_processes(tmp_path):
-    with ProcessPoolExecutor(2, get_context("spawn")) as executor:
-        check(executor, tmp_path)
-
-
-@pytest.mark.slow
-def test_threads_of_a_dask_worker(tmp_path):
-    distributed = pytest.importorskip("distributed")
-    with (
-        distributed.LocalCluster(n_workers=1, threads_per_worker=2, dashboard_address=None) as cluster,
-        distributed.Client(cluster) as client,
-    ):
-        check(client.get_executor(pure=False), tmp_path)
-
-
-@pytest.mark.slow
-def test_a_ray_cluster(tmp_path):
-    ray = pytest.importorskip("ray")
-    with RayExecutor(num_cpus=2, include_dashboard=False) as executor:
-        check(executor, tmp_path)
-        last = executor.submit(pow, 2, 10)
-    assert last.done()  # shutting down waits
-    assert last.result() == 1024
-    assert not ray.is_initialized()
-    with pytest.raises(RuntimeError, match="shut down"):
-        executor.submit(pow, 2, 10)
 
 
 @pytest.mark.slow

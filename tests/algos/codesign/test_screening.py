@@ -1,5 +1,6 @@
 """Children chosen from several mutants by a score that costs less than fitness: the protocol, and co-design with it."""
 
+import functools
 from dataclasses import replace
 
 import numpy as np
@@ -147,6 +148,11 @@ def test_weights_are_checked_and_part_of_the_state():
 SCREENING = replace(TINY, inherit=True, mutants=3)
 
 
+@functools.cache
+def whole_screening():
+    return codesign(SCREENING)
+
+
 @pytest.mark.parametrize(
     "config",
     [
@@ -198,7 +204,7 @@ def test_screening_is_counted():
 # In the first training, before the mutants are played, and in the second training.
 @pytest.mark.parametrize("calls", [pytest.param(2, marks=pytest.mark.slow), 4, 6])
 def test_a_stopped_screening_goes_on_to_the_same_result(calls, tmp_path):
-    whole, asked = codesign(SCREENING), iter(range(10**6))
+    whole, asked = whole_screening(), iter(range(10**6))
     stopped = codesign(SCREENING, run=tmp_path / "run", should_stop=lambda: next(asked) >= calls)
     assert not stopped.finished
     assert not RunRecord.read(tmp_path / "run").finished  # children that were chosen are proposed, but not trained

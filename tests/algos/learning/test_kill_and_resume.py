@@ -2,11 +2,11 @@
 
 import json
 import signal
-import subprocess
-import sys
 import time
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import asdict, replace
+from multiprocessing import get_context
 from pathlib import Path
 from random import Random
 
@@ -19,14 +19,10 @@ from tests.algos.codesign.test_codesign import SEARCHING
 from tests.algos.learning.test_real_env import TINY as TINY_TRAINING
 from tests.algos.learning.test_real_env import make_short
 
-ROOT = Path(__file__).parents[3]
+FORKS = get_context("forkserver")
+FORKS.set_forkserver_preload([__name__])  # torch is loaded once for all processes
 KILLS = 10
 CODESIGN = replace(SEARCHING, budget=9, inherit=True, mutants=3)
-CHILD = """
-from tests.algos.learning.test_kill_and_resume import {name}
-print("started", flush=True)
-{name}({folder!r}, lambda progress: print("progress", flush=True))
-"""
 
 
 def train_in(folder, progress=None):
@@ -37,6 +33,12 @@ def train_in(folder, progress=None):
 
 def codesign_in(folder, progress=None):
     codesign(CODESIGN, run=RunFolder(folder, asdict(CODESIGN), resume=True), progress=progress)
+
+
+def tell(work, folder, news):
+    """What a process does: `work`, and it sends a word before it and after each update."""
+    news.send("")
+    work(folder, lambda progress: news.send(""))
 
 
 def bits(value):
@@ -69,15 +71,18 @@ def killed_ten_times(work, folder, pause):
     rng, left, number = Random(0), [], 0
     while len(left) < KILLS:
         here = folder / str(number)
-        command = [sys.executable, "-c", CHILD.format(name=work.__name__, folder=str(here))]
-        with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True) as process:
-            assert process.stdout is not None
-            assert process.stdout.readline() == "started\n"
-            for _ in range(rng.randrange(7)):
-                process.stdout.readline()  # empty where it has come to its end
-            time.sleep(rng.uniform(0.0, pause))
+        receiver, news = FORKS.Pipe(duplex=False)
+        process = FORKS.Process(target=tell, args=(work, str(here), news))
+        process.start()
+        news.close()
+        with receiver:
+            with suppress(EOFError):  # where it has come to its end
+                for _ in range(1 + rng.randrange(7)):
+                    receiver.recv()
+                time.sleep(rng.uniform(0.0, pause))
             process.kill()  # nothing where it has ended
-            code = process.wait()
+            process.join()
+        code = process.exitcode
         assert code in (0, -signal.SIGKILL)
         if code == 0:
             number += 1  # the next kills meet a new run

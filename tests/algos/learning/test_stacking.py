@@ -114,10 +114,15 @@ TINY = PPOConfig(total_steps=960, num_worlds=6, rollout_steps=20, epochs=2, mini
 make_toy = functools.partial(ToyEnv, bodies=BODIES)
 
 
-def test_independent_policies_train_and_are_kept_each_at_its_best(tmp_path):
-    config = replace(TINY, sharing="independent")
-    run = RunFolder(tmp_path / "run", {})
-    result = Trainer(make_toy, config).train(run=run)
+@pytest.fixture(scope="module")
+def independent(tmp_path_factory):
+    """A run of independent policies: its folder and its result."""
+    run = RunFolder(tmp_path_factory.mktemp("independent") / "run", {})
+    return run, Trainer(make_toy, replace(TINY, sharing="independent")).train(run=run)
+
+
+def test_independent_policies_train_and_are_kept_each_at_its_best(independent):
+    run, result = independent
     assert result.final.score.shape == (3,)
     best, final = run.load("best"), run.load("final")
     assert best["score"].shape == (3,)
@@ -131,15 +136,13 @@ def test_independent_policies_train_and_are_kept_each_at_its_best(tmp_path):
         assert mode["actuation"].shape == expected["action", "actuation"][design : design + 1].shape
 
 
-def test_independent_policies_resume_exactly(tmp_path):
+def test_independent_policies_resume_exactly(independent, tmp_path):
     config = replace(TINY, sharing="independent")
-    whole, calls = Trainer(make_toy, config).train(), iter(range(100))
+    (other, whole), calls = independent, iter(range(100))
     Trainer(make_toy, config).train(run=RunFolder(tmp_path / "run", {}), should_stop=lambda: next(calls) >= 3)
     run = RunFolder(tmp_path / "run", {}, resume=True)
     resumed = Trainer(make_toy, config).train(run=run)
     assert all(torch.equal(a, b) for a, b in zip(whole.actor.parameters(), resumed.actor.parameters(), strict=True))
-    other = RunFolder(tmp_path / "whole", {})
-    Trainer(make_toy, config).train(run=other)
     for name in ("best", "final"):
         resumed, whole = (folder.load(name)["actor"] for folder in (run, other))
         assert all(torch.equal(resumed[key], whole[key]) for key in whole)

@@ -39,7 +39,7 @@ def weights(result):
 
 def test_two_runs_in_threads_are_those_of_each_alone(two_threads):
     alone = [Trainer(make_noisy, config).train() for config in SETTINGS]
-    barrier = threading.Barrier(2, timeout=60)
+    barrier = threading.Barrier(2, timeout=300)
     before = torch.get_rng_state()
 
     def run(config):

@@ -83,10 +83,15 @@ def test_rows_and_progress_tell_the_whole_run():
     assert all(row["kl"] == pytest.approx(0, abs=0.2) for row in result.rows[1:])
 
 
+@pytest.fixture(scope="module")
+def whole():
+    """A run in an environment with noise, from its start to its end."""
+    return Trainer(functools.partial(make_toy, noise=0.1), TINY).train()
+
+
 @pytest.mark.parametrize("updates", [1, 4])
-def test_a_stopped_run_goes_on_to_the_same_result(tmp_path, updates):
+def test_a_stopped_run_goes_on_to_the_same_result(whole, tmp_path, updates):
     make = functools.partial(make_toy, noise=0.1)
-    whole = Trainer(make, TINY).train()
     calls = iter(range(100))
     run = RunFolder(tmp_path / "run", asdict(TINY))
     stopped = Trainer(make, TINY).train(run=run, should_stop=lambda: next(calls) >= updates)
@@ -104,8 +109,8 @@ def test_a_stopped_run_goes_on_to_the_same_result(tmp_path, updates):
     assert timeless == [{k: v for k, v in row.items() if k != "seconds"} for row in whole.rows]
 
 
-def test_a_killed_run_goes_on_from_its_last_checkpoint(tmp_path):
-    whole = Trainer(make_toy, TINY).train()
+def test_a_killed_run_goes_on_from_its_last_checkpoint(whole, tmp_path):
+    make = functools.partial(make_toy, noise=0.1)
 
     def crash(progress):
         if progress.env_steps == 640:
@@ -113,9 +118,9 @@ def test_a_killed_run_goes_on_from_its_last_checkpoint(tmp_path):
 
     run = RunFolder(tmp_path / "run", asdict(TINY))
     with pytest.raises(RuntimeError, match="power cut"):
-        Trainer(make_toy, TINY).train(run=run, progress=crash)
+        Trainer(make, TINY).train(run=run, progress=crash)
     assert run.rows()[-1]["env_steps"] == 640  # the checkpoint is of 480
-    resumed = Trainer(make_toy, TINY).train(run=RunFolder(tmp_path / "run", asdict(TINY), resume=True))
+    resumed = Trainer(make, TINY).train(run=RunFolder(tmp_path / "run", asdict(TINY), resume=True))
     assert _same(_weights(whole), _weights(resumed))
     assert [row["env_steps"] for row in resumed.rows] == [row["env_steps"] for row in whole.rows]
 
