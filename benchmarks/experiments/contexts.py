@@ -34,6 +34,7 @@ class Contexts(FixedRobots):
 
     tasks: tuple[str, ...] = ("Walker-v0", "DownStepper-v0")
     arms: tuple[str, ...] = tuple(ARMS)
+    seeds: tuple[int, ...] = (0, 1, 2)
     material: Material = "reactive"
     ppo: PPOConfig = field(default_factory=PPOConfig)
 

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from itertools import pairwise
+from math import inf
 from pathlib import Path
 from statistics import median
 from typing import Any
@@ -36,10 +37,17 @@ class TrainingJob:
         run = RunFolder(folder / self.name, {"label": self.arm, **asdict(self.config)}, resume=resume)
         result = train(self.config, run=run, progress=progress, should_stop=should_stop, num_threads=1)
         record = RunRecord.read(run.path).as_dict()
+        record["times"] = [row["seconds"] for row in result.rows if "score" in row]  # of the curve's points
         record["env_steps_per_s"] = rate(result.rows, self.config.ppo.frames_per_update)
         if result.finished and self.config.material == "reactive":
             record["signals"] = analyse_run(run.path).summary()
         return record
+
+
+def first_at(run: Mapping[str, Any], score: float) -> tuple[float, float]:
+    """Returns the env-steps and seconds until an evaluation is at or above a score; infinite where none is."""
+    points = zip(run["curve"], run["times"], strict=True)
+    return next(((steps, seconds) for (steps, value), seconds in points if value >= score), (inf, inf))
 
 
 def best_score(run: Mapping[str, Any]) -> float:

@@ -21,7 +21,7 @@ def record(arm, seed, score, *, finished=True, **changes):
     return {
         "task": "Walker-v0", "label": arm, "seed": seed, "finished": finished, "env_steps": 1000,
         "final": {"score": score, "return": score + 1, "fraction_of_ceiling": score / 9.55} if finished else None,
-        "curve": [[0, 0.1], [500, score + 0.5], [1000, score]], "env_steps_per_s": None,
+        "curve": [[0, 0.1], [500, score + 0.5], [1000, score]], "times": [1.0, 6.0, 9.0], "env_steps_per_s": None,
     } | changes  # fmt: skip
 
 
@@ -52,6 +52,15 @@ def test_summary_keeps_last_and_best_apart_and_leaves_unfinished_runs_out():
     json.dumps([control, both], allow_nan=False)
 
 
+def test_the_papers_score_is_reached_when_half_of_the_runs_have_reached_it():
+    three = [record("control-only", seed, score) for seed, score in enumerate((9.5, 8.0, 9.0))]  # the paper's: 9.46
+    (row,) = A.summarise(three)
+    assert (row["steps_to_paper"], row["seconds_to_paper"]) == (500, 6.0)
+    (row,) = A.summarise(three[1:2])
+    assert (row["steps_to_paper"], row["seconds_to_paper"]) == (None, None)
+    assert cells(A.table([row]))[0][2][-2:] == ["-", "-"]
+
+
 def test_all_tasks_together_count_in_the_papers_units():
     runs = both_arms() + [run | {"task": "AreaMaximizer-v0"} for run in both_arms()]
     head, _, control, _, chance = cells(A.table(A.summarise(runs)))[2]
@@ -66,7 +75,8 @@ def test_tables_set_the_paper_beside_and_say_how_far_intervals_can_be_trusted():
     scores, gains, overall = cells(text)
     assert [len(scores), len(gains), len(overall)] == [4, 3, 5]
     assert scores[3] == [
-        "Walker-v0", "co-optimisation", "3", "1,000", "0.10", "9.30 (0.30)", "97.4%", "9.55 (0.01)", "9.80 (0.30)"
+        "Walker-v0", "co-optimisation", "3", "1,000", "0.10", "9.30 (0.30)", "97.4%", "9.55 (0.01)", "9.80 (0.30)",
+        "500", "6",
     ]  # fmt: skip
     task, seeds, final, chance, best, best_chance, paper = gains[2]
     assert (task, seeds, chance, best_chance, paper) == ("Walker-v0", "3", "1.00", "1.00", "+0.09")
