@@ -35,7 +35,7 @@ SMALLER = {  # budgets of the pages, and those of the tests
     "GaitConfig(env_steps=12_000": "GaitConfig(env_steps=2_000",
     **OF_RECIPES,
 }
-LONG = {"codesign", "other-libraries"}  # these take more than about ten seconds
+LONG = {"codesign", "evolution", "other-libraries", "results"}  # these take more than some seconds
 WHOLE = {"tasks"}  # pages that show how long an episode is; on the others those of Walker-v0 are 25 env-steps long
 
 

@@ -20,6 +20,6 @@ TUNED: Mapping[str, Tuned] = {
         {"initial_std": 4.0},
         "Nearly all actions are bounds at first: with smaller noise PPO passes by a posture in which all actuators are"
         " contracted. Best in 100,000 env-steps, seeds 10, 11, 12: control-only 0.867, 0.867, 0.867 (with the default"
-        " 0.625, 0.627, 0.608), co-optimisation 0.875, 0.863, 0.864. With seeds 0 to 2: results/A and results/A-tuned.",
+        " 0.625, 0.627, 0.608), co-optimisation 0.875, 0.863, 0.864. With seeds 0 to 4: results/A and results/A-tuned.",
     ),
 }

@@ -134,7 +134,7 @@ def test_a_failed_run_does_not_take_the_others_with_it(tmp_path, monkeypatch, pr
         final = {"score": 9.0, "return": 10.0}
         return {
             "task": "Walker-v0", "label": job.arm, "seed": 0, "finished": True, "env_steps": 1000, "final": final,
-            "curve": [(0, 0.1), (1000, 9.0)], "origin": find_origin(),
+            "curve": [(0, 0.1), (1000, 9.0)], "times": [1.0, 9.0], "origin": find_origin(),
         }  # fmt: skip
 
     monkeypatch.setattr(workers, "_run_job", run_job)
