@@ -23,7 +23,8 @@ from evogymcm.commands.train import _config
 from evogymcm.envs import SoftRobotEnv
 
 ROOT = Path(__file__).resolve().parents[2]
-SHIPPED = {("Walker-v0", "invariant")}  # (task, material) of all that the package has
+WALKS, AREAS = ("Walker-v0", "DownStepper-v0", "CaveCrawler-v0"), ("AreaMaximizer-v0", "AreaMinimizer-v0")
+SHIPPED = {(task, material) for task in (*WALKS, *AREAS) for material in ("invariant", "reactive")}
 BODY, OTHER = "HHH/V.V", "VHHH/S..R/V..V"
 TINY = PPOConfig(64, 4, 8, epochs=1, minibatch=16, eval_interval=0)
 KEYS = {
