@@ -121,6 +121,7 @@ def test_bad_input_says_so_before_any_thread(sprint):
     assert len(clocks()) == before
 
 
+@pytest.mark.slow
 def test_it_keeps_time_at_little_cost_and_never_rushes(player):
     def made(since):
         now = player.frame()
@@ -240,6 +241,7 @@ def test_a_world_of_its_own_is_walked_in(tmp_path):
         assert player.scene()["goal_x"] == pytest.approx(2.1)
 
 
+@pytest.mark.slow
 def test_many_threads_at_once_see_whole_frames_and_break_nothing(player):
     player.speed = 1000
     player.play()

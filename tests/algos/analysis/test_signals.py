@@ -135,6 +135,7 @@ def test_a_rise_after_impact_is_none_before():
     assert down.stiffness[down.lags == 1] == 1.5
 
 
+@pytest.mark.slow
 def test_intervals_hold_the_true_rise_about_as_often_as_they_say():
     rng, truth, held = np.random.default_rng(11), 0.1, 0
     for _ in range(150):
@@ -195,6 +196,7 @@ def test_series_must_fit_together():
 make = functools.partial(SoftRobotEnv, material="reactive", num_threads=1)
 
 
+@pytest.mark.slow
 def test_an_episode_of_the_simulator_is_recorded():
     env = make("Walker-v0", bodies="Walk_Bot", num_worlds=1)
     torch.manual_seed(0)
