@@ -116,15 +116,14 @@ def test_what_does_not_go_together_is_said(wrong, said):
         make_trainer(replace(CONFIG, **wrong), num_threads=1)
 
 
-@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a GPU")
-def test_learning_on_a_gpu_is_that_on_the_processor_but_for_rounding(tmp_path):
-    learn_on_both(tmp_path, ("cpu", "cuda"))
+_GPU = pytest.param("cuda", marks=pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a GPU"))
 
 
-def learn_on_both(folder, devices):
+@pytest.mark.parametrize("device", ["cpu", _GPU])
+def test_learning_on_a_device_is_that_on_the_processor_but_for_rounding(tmp_path, device):
     ppo, weights, scores = replace(CONFIG.ppo, total_steps=256, eval_interval=128), [], []
-    for number, device in enumerate(devices):
-        config, run = replace(CONFIG, ppo=replace(ppo, device=device)), RunFolder(folder / str(number), {})
+    for number, place in enumerate(("cpu", device)):
+        config, run = replace(CONFIG, ppo=replace(ppo, device=place)), RunFolder(tmp_path / str(number), {})
         with make_trainer(config, num_threads=1) as trainer:
             scores.append(trainer.train(run=run).final.score)
         weights.append(run.load("final")["actor"])
@@ -132,5 +131,6 @@ def learn_on_both(folder, devices):
             stopped.load_state_dict(run.load("checkpoint")["trainer"])
             np.testing.assert_array_equal(stopped.evaluate().score, scores[-1])
     assert {value.device.type for values in weights for value in values.values()} == {"cpu"}
-    torch.testing.assert_close(*weights, rtol=1e-2, atol=1e-3)
-    np.testing.assert_allclose(*scores, rtol=1e-2, atol=1e-3)
+    tolerance = {"rtol": 0, "atol": 0} if device == "cpu" else {"rtol": 1e-2, "atol": 1e-3}
+    torch.testing.assert_close(*weights, **tolerance)
+    np.testing.assert_allclose(*scores, **tolerance)
