@@ -60,8 +60,9 @@ class Options:
         edge_rule: how stiffness acts on shared edges.
         work_weight: what a unit of supplied work costs in reward, or one number for actuation and one for stiffness; 0
             has it measured.
-        initial: what the weights are at first: "fresh", the package's "baseline", "auto" (the baseline where there is
-            one), or the policy of a run. Exploration begins with `initial_std` in any case.
+        initial: what the weights are at first: "fresh", the package's "baseline" ("baseline:TASK" or
+            "baseline:TASK:MATERIAL" for another's), "auto" (the baseline where there is one), or the policy of a run.
+            Exploration begins with `initial_std` in any case.
         run: folder of the run.
         resume: continue the run in the folder.
         overwrite: replace the run in the folder.
@@ -81,7 +82,7 @@ class Options:
     stiffness: Annotated[tuple[str, ...], arg(metavar="FIELD", help_behavior_hint="(default: 1)")] = ()
     edge_rule: EdgeRule = "mean_factor"
     work_weight: WorkWeight = None
-    initial: Annotated[str, arg(metavar="fresh|baseline|auto|RUN")] = INITIAL
+    initial: Annotated[str, arg(metavar="fresh|baseline[:TASK[:MATERIAL]]|auto|RUN")] = INITIAL
     run: Annotated[Path | None, arg(metavar="FOLDER", help_behavior_hint="(default: runs/TASK-MATERIAL-seedSEED)")] = (
         None
     )

@@ -12,6 +12,7 @@ from evogymcm.envs.voxels import N_FEATURES, N_SIDES, describe
 from evogymcm.sim.simulator import Simulator
 
 MOST_POINTS = 4  # that a voxel can have of its own
+N_COMMON = 4  # features that all tasks have, in front of their own
 
 
 class Observed:
@@ -98,7 +99,10 @@ class Observed:
 
     @property
     def features(self) -> np.ndarray:
-        """(N, G) global features (fresh memory): COM velocity, sine and cosine of the orientation, the task's parts."""
+        """(N, G) global features (fresh memory): COM velocity, sine and cosine of the orientation, the task's parts.
+
+        The first `N_COMMON` are those of all tasks.
+        """
         angle = self._reader.now.robot.orientation.copy()  # numpy's sine of a view may round otherwise
         parts = [self._reader.now.robot.velocity, np.sin(angle)[:, None], np.cos(angle)[:, None]]
         own = self.task.observation(self._reader.now)

@@ -191,8 +191,9 @@ def test_what_cannot_begin_is_refused_before_any_work(sprint_baseline, sprint):
         (replace(config, ppo=replace(TINY, context="none")), "context: got 'none', .* has 'attention'"),
         (replace(config, bodies=BODY, ppo=replace(TINY, network="mlp")), "network: got 'mlp', .* has 'voxel'"),
         (replace(config, initial="nowhere"), "nowhere has none of final.pt"),
-        (replace(config, material="reactive", initial=sprint_baseline), "trained with 'invariant'"),
-        (replace(config, task="Lifter-v0", initial=sprint_baseline), "task_features"),
+        (replace(config, initial="baseline:Lifter-v0"), "baseline: got 'Lifter-v0' \\(invariant\\)"),
+        (replace(config, initial=f"baseline:{sprint}:soft"), "material: got 'soft'"),
+        (replace(config, initial=f"baseline:{sprint}:reactive:x"), "baseline:.* has none of final.pt"),
         (replace(shared, initial="two"), "policies of 2 designs"),
     ):
         with pytest.raises(ValueError, match=told):
@@ -204,9 +205,35 @@ def test_what_cannot_begin_is_refused_before_any_work(sprint_baseline, sprint):
             TrainConfig(sprint, BODY, initial=wrong)
     assert not Path("new").exists()
     with make_trainer(replace(config, initial="fresh", material="reactive"), 1) as trainer:
-        state = load_policy(sprint_baseline).state
+        state = train(replace(config, bodies=BODY, initial="fresh", ppo=replace(TINY, network="mlp"))).policy
         with pytest.raises(ValueError, match="initial: the policy does not set stiffness"):
             trainer.start_from(state)
+
+
+def test_training_begins_with_what_was_learned_in_another_task_or_setting(sprint_baseline, sprint):
+    """At first it acts as there: without the features that are new, and with stiffness 1."""
+    ppo = replace(TINY, learning_rate=1e-12, initial_std=0.5, final_std=0.5)
+    there = evaluate(cm.baseline(sprint), SoftRobotEnv(sprint, [BODY, OTHER], 2)).score.mean()
+    wider = replace(
+        TrainConfig(sprint, [BODY, OTHER], ppo=ppo), material="reactive", initial=f"baseline:{sprint}:invariant"
+    )
+    result = train(wider, run="wider", num_threads=1)
+    assert result.rows[0]["score"] == pytest.approx(there, abs=1e-6)
+    assert result.actor.log_std.exp().tolist() == pytest.approx([0.5, 0.5])
+    assert RunRecord.read("wider").initial == wider.initial
+    narrower = replace(wider, material="invariant", initial="wider")
+    begun = train(narrower, num_threads=1).rows[0]["score"]
+    assert begun == pytest.approx(result.rows[-1]["score"], abs=1e-6)
+    ppo = replace(ppo, sharing="independent")
+    hill = replace(narrower, task="UpStepper-v0", initial=f"baseline:{sprint}", ppo=ppo)  # whose terrain is sensed
+    with make_trainer(hill, 1) as trainer:
+        state, known = load_baseline(sprint, "invariant").state, trainer.actor.state_dict()
+        assert trainer.actor.form["task_features"] > 4
+        for i in range(2):
+            assert torch.equal(known["task.weight"][i, :, :4], state["actor"]["task.weight"])
+            assert not known["task.weight"][i, :, 4:].any()
+        trainer.update()
+        assert trainer.actor.state_dict()["task.count"].tolist() == [[4], [4]]  # begun anew
 
 
 def test_runs_of_before_go_on_as_fresh_ones(sprint):
@@ -242,7 +269,7 @@ def test_designs_begin_with_a_baseline_and_children_with_their_parents(sprint_ba
     for changes, told in (
         ({"material": "reactive", "stiffness": 1.0}, "baseline: got"),
         ({"ppo": replace(ppo, hidden=16)}, "hidden: got 16"),
-        ({"task": "Lifter-v0", "initial": str(sprint_baseline)}, "task features"),
+        ({"initial": f"baseline:{sprint}:reactive"}, "baseline: got"),
     ):
         with pytest.raises(ValueError, match=told):
             codesign(replace(config, **changes), run="refused")
@@ -250,5 +277,8 @@ def test_designs_begin_with_a_baseline_and_children_with_their_parents(sprint_ba
     fresh = replace(config, budget=3, initial="auto", material="reactive", stiffness=1.0, ppo=replace(ppo, hidden=4))
     assert codesign(fresh, run="fresh").policy["form"]["hidden"] == 4
     assert RunRecord.read("fresh").initial == "fresh"
+    other = replace(config, task="Lifter-v0", material="reactive", stiffness=1.0, initial=str(sprint_baseline))
+    lifting = codesign(replace(other, budget=3, shape=(2, 2))).policy
+    assert torch.allclose(lifting["actor"]["encode.weight"], state["actor"]["encode.weight"], atol=1e-6)
     shared = codesign(replace(config, budget=3, ppo=replace(ppo, sharing="shared")))
     assert close(shared.policy["actor"], state["actor"])

@@ -17,8 +17,8 @@ from evogymcm.algos.codesign.ledger import Ledger
 from evogymcm.algos.codesign.pieces import Place, score_piece, screen_piece, search_piece, train_piece
 from evogymcm.algos.codesign.plan import Training, derived_seed, finetuning, phases, pieces, search_seed, trainings
 from evogymcm.algos.codesign.scoring import Scores
-from evogymcm.algos.codesign.start import check_start, env_maker, make_body_search
-from evogymcm.algos.learning.initial import exploring, following, initial_policy
+from evogymcm.algos.codesign.start import check_start, env_maker, first_policy, make_body_search
+from evogymcm.algos.learning.initial import exploring, following
 from evogymcm.algos.runs.folder import RunFolder
 
 _STATE = "codesign"
@@ -69,7 +69,7 @@ class Codesign:
         self, config: CodesignConfig, run: RunFolder | None = None, *, executor: Executor | None = None
     ) -> None:
         check_start(config)
-        self.began, self._first = initial_policy(config.initial, config.task, config.material, config.ppo)
+        self.began, self._first = first_policy(config)
         if self._first is not None:
             config = replace(config, ppo=following(config.ppo, self._first))
         if executor is not None and config.num_threads is None:

@@ -1,5 +1,6 @@
 """What a run of co-design begins with: its search over bodies, its environments, and whether it can begin at all."""
 
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -11,7 +12,8 @@ from evogymcm.algos.codesign.config import CodesignConfig
 from evogymcm.algos.codesign.genetic import GeneticAlgorithm
 from evogymcm.algos.codesign.map_elites import MapElites
 from evogymcm.algos.codesign.random_search import RandomSearch
-from evogymcm.algos.learning.initial import find_initial
+from evogymcm.algos.learning.initial import exploring, find_initial
+from evogymcm.algos.learning.transfer import carried_over
 from evogymcm.body import H_ACT, Body
 from evogymcm.envs import SoftRobotEnv
 from evogymcm.envs.tasks import as_task
@@ -46,18 +48,24 @@ def check_start(config: CodesignConfig) -> None:
     make_body_search(config)
     if config.search and config.search.proposal == "cma":
         load_cma()
+    first_policy(config)
+
+
+def first_policy(config: CodesignConfig) -> tuple[str, dict[str, Any] | None]:
+    """Returns what policies begin with, see `RunRecord.initial`, and that policy for this task, None for fresh ones.
+
+    Raises:
+        ValueError: See `check_start`.
+    """
     env = env_maker(config)(bodies=[Body(np.full(config.shape, H_ACT))], num_worlds=1, seed=0)
     try:
-        check_initial_policy(config, env)
+        word, saved = find_initial(config.initial, config.task, config.material, config.ppo)
+        if saved is None:
+            return word, None
+        if saved.state["form"].get("copies") is not None:
+            raise ValueError(f"initial: {saved.path} holds policies of several bodies, expected one policy")
+        policy = carried_over(exploring(saved.state, config.ppo.initial_std), env)
+        replace(saved, state=policy).module(env)  # does it act there?
+        return word, policy
     finally:
         env.close(raise_if_closed=False)
-
-
-def check_initial_policy(config: CodesignConfig, env: SoftRobotEnv) -> None:
-    """Raises a ValueError where policies cannot begin as they should, in such an environment."""
-    _, saved = find_initial(config.initial, config.task, config.material, config.ppo)
-    if saved is None:
-        return
-    if saved.state["form"].get("copies") is not None:
-        raise ValueError(f"initial: {saved.path} holds policies of several bodies, expected one policy")
-    saved.module(env)

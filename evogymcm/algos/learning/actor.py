@@ -263,14 +263,18 @@ def make_actor(
         ValueError: for an unknown network, and for "mlp" where bodies differ.
     """
     check_network(network, env)
-    spaces = {name: spec.space for name, spec in env.full_action_spec["action"].items()}
-    ranges = {name: (space.low.min().item(), space.high.max().item()) for name, space in spaces.items()}
-    spec = env.observation_spec
+    ranges, spec = ranges_of(env), env.observation_spec
     options: dict[str, Any] = {"initial_std": initial_std, "copies": copies, "generator": generator}
     options |= {} if hidden is None else {"hidden": hidden}
     if network == "mlp":
         return MLPActor(spec["observation"].shape[-1], spec["occupancy"].shape[-1], ranges, **options)
     return VoxelActor(spec["task"].shape[-1], ranges, context=context, columns=env.grid_shape[1], **options)
+
+
+def ranges_of(env: EnvBase) -> dict[str, tuple[float, float]]:
+    """Returns the action entries of a SoftRobotEnv -> (low, high)."""
+    spaces = {name: spec.space for name, spec in env.full_action_spec["action"].items()}
+    return {name: (space.low.min().item(), space.high.max().item()) for name, space in spaces.items()}
 
 
 def load_actor(checkpoint: Mapping[str, Any], index: int | None = None) -> Actor:

@@ -180,10 +180,11 @@ class TrainConfig:
         work_weight: What a unit of supplied work costs in reward: a number, or one for work of actuation and one for
             work of stiffness. With 0 it is only reported, with None not measured. Scores are always the task's.
         ppo: Settings of PPO.
-        initial: What the weights of actor and critic are at first: "fresh", the package's "baseline" (`baseline`),
-            "auto" (the baseline where there is one of this form, else fresh), or a policy of a run as `load_policy`
-            takes it. Exploration begins with `ppo.initial_std` in any case. The networks are then of the policy's form:
-            leave `network`, `hidden` and `context` out.
+        initial: What the weights of actor and critic are at first: "fresh", the package's "baseline" (`baseline`; of
+            another task "baseline:TASK", and of another setting "baseline:TASK:MATERIAL"), "auto" (the baseline where
+            there is one of this form, else fresh), or a policy of a run as `load_policy` takes it. One of another task
+            or setting acts as there at first. Exploration begins with `ppo.initial_std` in any case. The networks are
+            then of the policy's form: leave `network`, `hidden` and `context` out.
 
     Raises:
         ValueError: A value is of the wrong kind or out of range; bodies or stiffness do not fit.

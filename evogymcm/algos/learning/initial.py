@@ -25,19 +25,21 @@ def find_initial(initial: str, task: str, material: str, ppo: PPOConfig) -> tupl
         ppo: Settings that its networks must not contradict.
 
     Raises:
-        ValueError: There is no such policy, or it is of the other setting or has other networks.
+        ValueError: There is no such policy, or it has other networks.
     """
     if initial == FRESH or (initial == AUTO and not has_baseline(task, material)):
         return FRESH, None
-    saved = load_baseline(task, material) if initial in (BASELINE, AUTO) else load_policy(initial)
+    word, *names = initial.split(":")
+    if word == BASELINE and len(names) <= 2:
+        saved = load_baseline(*[*names, *(task, material)[len(names) :]])
+    else:
+        saved = load_baseline(task, material) if initial == AUTO else load_policy(initial)
     try:
         following(ppo, saved.state)
     except ValueError:
         if initial == AUTO:
             return FRESH, None
         raise
-    if saved.material != material:
-        raise ValueError(f"material: got {material!r}, the policy to begin with was trained with {saved.material!r}")
     return BASELINE if initial == AUTO else initial, saved
 
 

@@ -25,6 +25,7 @@ from evogymcm.algos.learning.loop import Progress, TrainResult, train_to_the_end
 from evogymcm.algos.learning.ppo import PPOLearner
 from evogymcm.algos.learning.stacking import PerDesign, by_design, stack_states
 from evogymcm.algos.learning.threads import exploration, limited_threads
+from evogymcm.algos.learning.transfer import carried_over, check_form
 from evogymcm.algos.runs.folder import RunFolder
 from evogymcm.envs.engines import engine_of
 
@@ -40,22 +41,6 @@ def _copies(config: PPOConfig, env: EnvBase) -> int | None:
         if value is not None and value % env.num_designs:
             raise ValueError(f"{name}: got {value}, independent sharing needs a multiple of {env.num_designs} designs")
     return env.num_designs
-
-
-def _check_form(given: Mapping[str, Any], own: Mapping[str, Any]) -> None:
-    """Raises a ValueError where a policy's form is not that of a run's networks."""
-    if set(given["ranges"]) != set(own["ranges"]):
-        is_reactive = "stiffness" in given["ranges"]
-        raise ValueError(f"initial: the policy {'sets stiffness' if is_reactive else 'does not set stiffness'}")
-    same = given.keys() & own.keys() - {"ranges", "columns", "copies"}
-    differing = [f"{name} {given[name]!r}, the run {own[name]!r}" for name in sorted(same) if given[name] != own[name]]
-    if differing:
-        raise ValueError(f"initial: the policy has {'; '.join(differing)}")
-    copies = given.get("copies")
-    if copies not in (None, own["copies"]):
-        raise ValueError(
-            f"initial: got policies of {copies} designs, expected one, or one for each of independent ones"
-        )
 
 
 # What TorchRL's collectors do beside collecting and nothing here needs. Versions 0.11 and 0.12 know neither name: they
@@ -262,11 +247,14 @@ class Trainer:
     def start_from(self, policy: Mapping[str, Any]) -> None:
         """Starts from a saved policy's weights (see `train`) instead of fresh ones.
 
+        One of another task or setting acts as before at first, see `carried_over`.
+
         Raises:
             ValueError: Its networks have another form.
         """
+        policy = carried_over(policy, self._env)
         copies, given = self.actor.copies, policy["form"].get("copies")
-        _check_form(policy["form"], self.actor.form)
+        check_form(policy["form"], self.actor.form)
         for name, network in (("actor", self.actor), ("critic", self.critic)):
             weights = policy[name]
             if copies is not None and given is None:
