@@ -25,6 +25,7 @@ COMMANDS: MappingProxyType[str, str] = MappingProxyType(  # modules of `evogymcm
         "evolve": "evolve bodies together with gaits, within minutes",
         "train": "train a policy for given bodies",
         "codesign": "evolve bodies, materials and control together",
+        "specialise": "train a policy for each of the best designs of a search",
         "studio": "draw a robot in the browser, and watch it move and learn",
         "report": "make an HTML report of training, co-design or suite folders",
         "export": "write a design as drawing, table and meshes, for fabrication",

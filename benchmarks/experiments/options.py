@@ -9,7 +9,16 @@ from typing import Annotated, Any, Generic, Literal, TypeVar, Union
 
 import tyro
 
-from benchmarks.experiments import contexts, evolved_gaits, evolved_robots, fixed_robots, gaits, signals, universal
+from benchmarks.experiments import (
+    contexts,
+    evolved_gaits,
+    evolved_robots,
+    fixed_robots,
+    gaits,
+    signals,
+    specialists,
+    universal,
+)
 from benchmarks.experiments.experiment import Experiment
 
 EXPERIMENTS: Mapping[str, tuple[str, Mapping[str, Experiment]]] = {  # -> what it is, and its settings in each size
@@ -17,6 +26,7 @@ EXPERIMENTS: Mapping[str, tuple[str, Mapping[str, Experiment]]] = {  # -> what i
     "B": ("evolved robots, with stiffness control and without", evolved_robots.SIZES_B),
     "C": ("evolved robots, with searched stiffness fields and without", evolved_robots.SIZES_C),
     "evolve": ("bodies evolved together with their gaits, with stiffness and without", evolved_gaits.SIZES),
+    "specialists": ("policies of their own for bodies that have evolved with gaits", specialists.SIZES),
     "universal": ("one policy for every body, scored on unseen ones", universal.SIZES),
     "gaits": ("open-loop gaits of the paper's robots and of random bodies", gaits.SIZES),
     "contexts": ("what a voxel should know of its body", contexts.SIZES),

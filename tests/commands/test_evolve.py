@@ -32,3 +32,21 @@ def test_a_robot_evolves_and_is_watched_and_reported(capsys):
 def test_arguments_that_cannot_be_used_are_told(capsys):
     assert "survivors: got 5" in refused(capsys, "evolve", "Walker-v0", "--first", "4", "--survivors", "5")
     assert "Nothing-v0" in refused(capsys, "evolve", "Nothing-v0")
+
+
+@pytest.mark.slow
+def test_its_best_designs_get_policies_that_are_watched_and_reported(capsys):
+    assert main(["evolve", "Walker-v0", "--run", "here", *QUICK]) == 0
+    capsys.readouterr()
+    small = ("--count", "1", "--ppo.total-steps", "64", "--ppo.num-worlds", "2", "--ppo.rollout-steps", "32")
+    assert main(["specialise", "here", *small]) == 0
+    told = capsys.readouterr().out
+    assert "in the search" in told
+    robust = told.split("\nrobust ")[-1].split("\n")[0]
+    assert "1 designs, invariant: 64 env-steps" in told
+    assert "(--resume)" in refused(capsys, "specialise", "here", *small)
+    assert main(["specialise", "here", *small, "--resume"]) == 0
+    assert robust in capsys.readouterr().out
+    assert main(["watch", "--policy", "here/specialists/best.pt", "--out", "walk.png", "--every", "500"]) == 0
+    assert main(["report", "here/specialists", "--out", "report.html"]) == 0
+    assert "run of train" in refused(capsys, "specialise", "here/specialists")

@@ -22,6 +22,8 @@ __getattr__, __dir__, __all__ = door(
         "random_search": ["RandomSearch"],
         "run": ["Codesign", "CodesignProgress"],
         "scoring": ["Scores", "score_alone"],
+        "specialist_config": ["SpecialistConfig"],
+        "specialists": ["Specialists", "specialise"],
         "stiffness_proposals": ["perturb_stiffness"],
     },
 )

@@ -6,7 +6,7 @@ candidates where a training of a policy for each would allow a few.
 """
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from evogymcm._settings import WORK, check_work_weight
+from evogymcm._settings import WORK, WorkWeight, check_work_weight
 from evogymcm.algos.codesign.design import Design, Individual, mutate_design
 from evogymcm.algos.codesign.evolve_config import EvolveConfig
 from evogymcm.algos.codesign.run import CodesignProgress
@@ -103,17 +103,9 @@ class Evolution:
         The fittest is often fragile: chosen by one episode, it may owe its lead to a contact that a hair would undo.
         And a score leaves out an episode's last reward: a simulation may end in instability at no cost to it.
         """  # noqa: D205
-        weights = check_work_weight(self.config.work_weight) or (0.0, 0.0)
-        worth = {
-            row["index"]: row["robust_score"]
-            + row["return"]
-            - row["score"]
-            - sum(weight * row[name] for weight, name in zip(weights, WORK[:2], strict=True))
-            for row in self.rows
-            if row["event"] == "evaluate"
-        }
-        if worth:
-            return max(self.survivors, key=lambda mover: worth[mover.individual.index])
+        told = {row["index"]: worth(row, self.config.work_weight) for row in self.rows if row["event"] == "evaluate"}
+        if told:
+            return max(self.survivors, key=lambda mover: told[mover.individual.index])
         return self.survivors[0] if self.survivors else None
 
     def advance(self) -> CodesignProgress:
@@ -258,6 +250,13 @@ class Evolution:
         ]
         self.run.keep_rows(saved["rows"])
         self.rows = self.run.rows()
+
+
+def worth(row: Mapping[str, Any], work_weight: WorkWeight) -> float:
+    """Returns what a survivor is worth in the end: its robust score and last reward, less what its work costs."""
+    weights = check_work_weight(work_weight) or (0.0, 0.0)
+    cost = sum(weight * row[name] for weight, name in zip(weights, WORK[:2], strict=True) if weight)
+    return float(row["robust_score"] + row["return"] - row["score"] - cost)
 
 
 def save_gait(path: Path, config: EvolveConfig, design: Design, mover: Mover) -> None:

@@ -88,7 +88,7 @@ def train_designs(
     start = None if initial is None else stack_policies(initial, ppo.sharing)
     trainer = Trainer(holding(make_env, designs), ppo.of_bodies(n))
     result = trainer.train(run=run, progress=progress, should_stop=should_stop, initial=start)
-    return _apart(result, n, ppo.selection)
+    return apart(result, n, ppo.selection)
 
 
 def stack_policies(policies: Sequence[Policy], sharing: str) -> Policy:
@@ -110,7 +110,7 @@ def _is_same(one: Policy, other: Policy) -> bool:
     return all(torch.equal(value, other[name][key]) for name in parts for key, value in one[name].items())
 
 
-def _apart(result: TrainResult, n: int, selection: str) -> Trained:
+def apart(result: TrainResult, n: int, selection: str) -> Trained:
     """Returns a run's policies design by design."""
 
     def split(policy: Mapping[str, Any]) -> list[Policy]:
