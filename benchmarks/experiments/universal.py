@@ -20,6 +20,7 @@ from evogymcm.algos.codesign.inner_loop import Policy
 from evogymcm.algos.learning import PPOConfig, Progress, TrainConfig, train
 from evogymcm.algos.learning.bodies import N_HELD_OUT, held_out_bodies
 from evogymcm.algos.learning.initial import following
+from evogymcm.algos.learning.transfer import carried_over
 from evogymcm.algos.runs import RunFolder, RunRecord, load_policy
 from evogymcm.envs import SoftRobotEnv
 
@@ -194,6 +195,8 @@ class UniversalJob:
     def run(self, folder: Path, resume: bool, tell: Tell, should_stop: Callable[[], bool]) -> Record:
         """Trains and scores in `folder / name` and returns all numbers of the run."""
         run = RunFolder(folder / self.name, asdict(self), resume=resume)
+        if known := run.read_json("result.json"):  # which is written at the end only
+            return dict(known)
         record: Record = {"task": self.task, "label": self.arm, "seed": self.seed, "finished": False, "curve": []}
         record |= {"env_steps": 0, "seconds": 0.0, "scores": {}}
         scores: dict[str, list[float]] = record["scores"]
@@ -209,7 +212,8 @@ class UniversalJob:
             policy = {name: policy[name] for name in ("form", "actor", "critic")}
             scores[UNSEEN] = self._score([policy] * self.experiment.bodies)
             if self.experiment.material == "reactive":
-                scores[IDLE] = self._score([_without_stiffness(policy)] * self.experiment.bodies, "invariant")
+                idle = self._without_stiffness(policy)
+                scores[IDLE] = self._score([idle] * self.experiment.bodies, "invariant")
         before, ppo = record["env_steps"], self.experiment.of_body(self.arm, self.seed)
         place = RunFolder(run.path / "bodies", {"policies": self.arm}, resume=resume)
         trained = train_designs(
@@ -245,6 +249,14 @@ class UniversalJob:
     def _make_env(self, material: Material) -> partial[SoftRobotEnv]:
         return partial(SoftRobotEnv, self.task, material=material, num_threads=1, grid_shape=SHAPE)
 
+    def _without_stiffness(self, policy: Policy) -> Policy:
+        """Returns the policy of the invariant setting that has the actuation of one that sets stiffness too."""
+        env = self._make_env("invariant")(bodies=held_out_bodies(SHAPE, 1), num_worlds=1)
+        try:
+            return carried_over(policy, env)
+        finally:
+            env.close(raise_if_closed=False)
+
     def _designs(self, count: int) -> list[Design]:
         return [Design(body) for body in held_out_bodies(SHAPE, count)]
 
@@ -253,16 +265,6 @@ class UniversalJob:
         make_env = self._make_env(material or self.experiment.material)
         found = score_alone(make_env, self._designs(len(policies)), policies, starts=_STARTS)
         return found.robust.tolist()  # type: ignore[no-any-return]
-
-
-def _without_stiffness(policy: Policy) -> Policy:
-    """Returns the policy of the invariant setting that has the actuation of one that sets stiffness too."""
-    form, actor = policy["form"], dict(policy["actor"])
-    index = list(form["ranges"]).index("actuation")
-    for name in ("heads.weight", "heads.bias", "log_std"):
-        actor[name] = actor[name][index : index + 1]
-    ranges = {"actuation": form["ranges"]["actuation"]}
-    return {"form": form | {"ranges": ranges}, "actor": actor, "critic": policy["critic"]}
 
 
 _SHORT = replace(Universal().ppo, total_steps=3_000_000, eval_interval=250_000)

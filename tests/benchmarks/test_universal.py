@@ -80,6 +80,7 @@ def test_a_stopped_run_resumes_exactly(whole, tmp_path):
 def test_other_networks_learn_one_body_each_for_as_long_as_fine_tuning_or_longer(tmp_path):
     fresh, _ = run(tiny("fresh"), tmp_path)
     assert set(fresh["scores"]) == {ALONE}
+    assert run(tiny("fresh"), tmp_path, resume=True, should_stop=lambda: True)[0] == fresh  # nothing is done again
     experiment = tiny("specialists", "fresh", "stream")
     tuned, alone, long = (experiment.of_body(arm, 1) for arm in ("stream", "fresh", "specialists"))
     assert (tuned.total_steps, alone.total_steps, long.total_steps) == (600, 600, 900)
