@@ -109,7 +109,7 @@ class SpecialistsOfEvolution(Comparison):
             cells += [str(summarise(before["score"])), str(summarise(before["return"])), f"{row['added']:,.0f}"]
             cells += [str(summarise(now["score"])), str(summarise(now["return"]))]
             if len(before["score"]) > 1:
-                cells.append(with_interval(*difference(before["score"], now["score"]), "+.2f"))
+                cells.append(with_interval(*difference(before["score"], now["score"], is_paired=True), "+.2f"))
             else:
                 cells.append(f"{now['score'][0] - before['score'][0]:+.2f}")
             cells += [f"{row['better']} of {row['designs']}", str(summarise([one["return"] for one in row["either"]]))]
@@ -125,8 +125,8 @@ def _worth(told: Record) -> float:
 _NOTE = (
     "First with the gaits that the bodies have evolved with, then with policies that were trained for them alone: of"
     " each run the best design, by its robust score, or its return where that is lower (it ends with a penalty)."
-    " Difference: of robust scores, over seeds. Better policies: how many designs move better with theirs than with"
-    " their gait, by the same rule."
+    " Difference: of robust scores, of pairs of equal seeds. Better policies: how many designs move better with theirs"
+    " than with their gait, by the same rule."
 )
 
 SIZES = {
