@@ -19,6 +19,7 @@ TINY = SpecialistsOfEvolution(
 )
 
 
+@pytest.mark.slow
 def test_runs_end_in_a_table(tmp_path, monkeypatch):
     monkeypatch.setitem(tasks._REGISTRY, "Walker-v0", replace(tasks.as_task("Walker-v0"), time_limit=12))
     first, *others = TINY.jobs()

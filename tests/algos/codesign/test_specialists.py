@@ -60,6 +60,7 @@ def test_the_best_survivors_get_policies_of_their_own(changes):
     assert again.env_steps == found.env_steps
 
 
+@pytest.mark.slow
 def test_a_stopped_training_goes_on_to_the_same_specialists():
     evolve(EVOLUTION, run="run")
     whole = specialise("run", CONFIG, run="whole", num_threads=2)
