@@ -17,6 +17,7 @@ def carried_over(policy: Mapping[str, Any], env: EnvBase) -> dict[str, Any]:
 
     It acts as before at first: of the task's features, those that all tasks have keep their weights, and the others get
     0; a head that is new gives the same action everywhere (stiffness 1). Statistics of the task's features begin anew.
+    A policy does not know its task: one with as many features counts as the same.
 
     Args:
         policy: A saved policy, or several stacked ones.
