@@ -90,7 +90,7 @@ class SpecialistsOfEvolution(Comparison):
             row: Record = {"task": task, "arm": arm, "env_steps": mean(run["env_steps"] for run in group)}
             row["added"] = mean(run["specialists"]["env_steps"] for run in group)
             tables = [run["specialists"]["designs"] for run in group]
-            for when in ("before", "now"):  # the best by score and last reward, as an evolution's best design is chosen
+            for when in ("before", "now"):
                 best = [max((design[when] for design in designs), key=_worth) for designs in tables]
                 row[when] = {name: [one[name] for one in best] for name in ("score", "return")}
             row["either"] = [max((d[when] for d in ds for when in ("before", "now")), key=_worth) for ds in tables]

@@ -15,6 +15,7 @@ if TYPE_CHECKING:  # both load torch or numba, which help texts do without
     import numpy as np
     from torchrl.record.loggers import Logger
 
+    from evogymcm.algos.learning import Progress
     from evogymcm.algos.runs.folder import RunFolder
     from evogymcm.body import Body
 
@@ -169,3 +170,10 @@ class Bar:
     def __exit__(self, *exception: object) -> None:
         if self._bar is not None:
             self._bar.close()
+
+
+def show_training(bar: Bar, latest: dict[str, str], state: "Progress") -> None:
+    """Moves the bar of a training; `latest` keeps the score until the next evaluation."""
+    if "score" in state.row:
+        latest["score"] = f"{state.row['score']:.3f}"
+    bar.show(state.env_steps, latest)

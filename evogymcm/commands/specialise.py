@@ -2,17 +2,15 @@
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import tyro
 from tyro.conf import arg
 
 from evogymcm.algos.codesign.specialist_config import SpecialistConfig
-from evogymcm.commands._options import INTERRUPTED, Bar, checking_arguments, how_to_resume, open_run
-
-if TYPE_CHECKING:
-    from evogymcm.algos.learning import Progress
+from evogymcm.commands._options import INTERRUPTED, Bar, checking_arguments, how_to_resume, open_run, show_training
 
 DESCRIPTION = """Trains a policy for each of the best designs of a run of evolve or codesign, for that design alone.
 
@@ -57,13 +55,7 @@ def run(options: Options, arguments: Sequence[str]) -> int:
     print(f"{len(settings.bodies)} designs, {settings.material}: {settings.ppo.total_steps:,} env-steps", flush=True)
     with Bar(settings.ppo.total_steps) as bar:
         keep_freed_memory()
-        latest: dict[str, str] = {}
-
-        def show(state: "Progress") -> None:
-            if "score" in state.row:
-                latest["score"] = f"{state.row['score']:.3f}"
-            bar.show(state.env_steps, latest)
-
+        show = partial(show_training, bar, {})
         found = specialise(options.search, options.config, run=folder, progress=show, num_threads=options.num_threads)
     if not found.finished:
         print(f"stopped after {found.env_steps:,} env-steps; to go on:\n  {how_to_resume('specialise', arguments)}")

@@ -22,11 +22,12 @@ from evogymcm.commands._options import (
     make_logger,
     open_run,
     read_stiffness,
+    show_training,
     work_lines,
 )
 
 if TYPE_CHECKING:  # torch is loaded when a command runs, not for its help
-    from evogymcm.algos.learning import Progress, TrainResult
+    from evogymcm.algos.learning import TrainResult
 
 DESCRIPTION = """Trains a policy with PPO and keeps it in a run folder.
 
@@ -107,7 +108,7 @@ def run(options: Options, arguments: Sequence[str]) -> int:
         logger = make_logger(options.logger, folder.path)
     with Bar(config.ppo.total_steps) as bar:
         keep_freed_memory()
-        show = partial(_show, bar, {})
+        show = partial(show_training, bar, {})
         result = train(config, run=folder, progress=show, logger=logger, num_threads=options.num_threads)
     if result.final is None:
         print(f"stopped after {result.env_steps:,} env-steps; to go on:\n  {how_to_resume('train', arguments)}")
@@ -135,13 +136,6 @@ def _config(options: Options) -> TrainConfig:
     if fields is not None and is_stream:  # a number: what fits a single voxel
         return replace(config, stiffness=fields[0].item())
     return config if fields is None else replace(config, stiffness=tuple(rows.tolist() for rows in fields))
-
-
-def _show(bar: Bar, latest: dict[str, str], state: "Progress") -> None:
-    """Moves the bar; `latest` keeps the score until the next evaluation."""
-    if "score" in state.row:
-        latest["score"] = f"{state.row['score']:.3f}"
-    bar.show(state.env_steps, latest)
 
 
 def _print_result(result: "TrainResult", bodies: Sequence[str], path: Path) -> None:

@@ -91,15 +91,11 @@ def specialise(
         ValueError: There is no such run, or it has no designs that were scored, or they cannot be trained so.
     """
     config = config or SpecialistConfig()
-    settings, record = settings_of(search, config), RunRecord.read(search)
-    rows = _best_rows(record, config.count)
+    rows, designs, settings = _plan(search, config)
     if not isinstance(run, RunFolder):
         run = RunFolder(run or Path(search) / FOLDER, asdict(settings), resume=True)
     result = train(settings, run=run, progress=progress, should_stop=should_stop, num_threads=num_threads)
     trained = apart(result, len(rows), config.ppo.selection)
-    found = [record.design(dict(row)) for row in rows]
-    is_reactive = settings.material == "reactive"
-    designs = [Design(body, None if is_reactive else field) for body, field in found]
     if not result.finished:
         return Specialists(rows, designs, trained.best, None, trained.env_steps)
     names = ("material", "edge_rule", "work_weight")
@@ -113,23 +109,29 @@ def specialise(
 
 def settings_of(search: str | os.PathLike[str], config: SpecialistConfig) -> TrainConfig:
     """Returns the settings of the training of a search's specialists; errors as for `specialise`."""
+    return _plan(search, config)[-1]
+
+
+def _plan(
+    search: str | os.PathLike[str], config: SpecialistConfig
+) -> tuple[list[Mapping[str, Any]], list[Design], TrainConfig]:
+    """Returns the rows of the designs that get specialists, the designs, and the settings of the training."""
     record = RunRecord.read(search)
     if record.kind != "codesign":
         raise ValueError(f"search: {search} is a run of {record.kind}, expected one of evolve or codesign")
-    found = [record.design(dict(row)) for row in _best_rows(record, config.count)]
-    fields = None
-    if record.material != "reactive":
-        fields = tuple(tuple(map(tuple, field.tolist())) for _, field in found)
+    rows, is_reactive = _best_rows(record, config.count), record.material == "reactive"
+    found = [record.design(dict(row)) for row in rows]
     given: dict[str, Any] = {"material": record.material or "invariant", "edge_rule": record.edge_rule}
-    return TrainConfig(
+    settings = TrainConfig(
         record.task,
         as_texts([body for body, _ in found]),
-        stiffness=fields,
+        stiffness=None if is_reactive else tuple(tuple(map(tuple, field.tolist())) for _, field in found),
         work_weight=record.config.get("work_weight"),
         ppo=config.ppo.of_bodies(len(found)),
         initial=config.initial,
         **given,
     )
+    return rows, [Design(body, None if is_reactive else field) for body, field in found], settings
 
 
 def _best_rows(record: RunRecord, count: int) -> list[Mapping[str, Any]]:
@@ -140,7 +142,9 @@ def _best_rows(record: RunRecord, count: int) -> list[Mapping[str, Any]]:
     weights = record.config.get("work_weight")
     survivors = [row for row in record.ranked() if row.get("event") == "evaluate"]
     ranked = sorted(survivors, key=lambda row: -worth(row, weights)) or record.ranked()
-    first = {row["body"]: row for row in reversed(ranked)}
+    first = dict[str, Mapping[str, Any]]()
+    for row in ranked:
+        first.setdefault(row["body"], row)
     if not first:
         raise ValueError(f"search: {record.path} has no design that was scored")
-    return [row for row in ranked if first[row["body"]] is row][:count]
+    return list(first.values())[:count]
