@@ -1,39 +1,42 @@
 """One policy for every body: what it is worth on bodies that it has not seen, and what further training adds."""
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
-from functools import partial
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from statistics import mean
-from typing import Any, get_args
+from typing import get_args
 
 import numpy as np
 
 from benchmarks.experiments import figures
-from benchmarks.experiments.experiment import Comparison, Record, Tell
+from benchmarks.experiments.experiment import Comparison, Record
 from benchmarks.experiments.tables import table, with_interval
+from benchmarks.experiments.universal_job import (
+    ALONE,
+    BASELINE,
+    FIVE,
+    FRESH,
+    GAITS,
+    IDLE,
+    LEARNT,
+    OWN,
+    SHAPE,
+    SPECIALISTS,
+    TUNED,
+    UNSEEN,
+    UniversalJob,
+    five_bodies,
+)
 from evogymcm._settings import Material, check_choice
 from evogymcm.algos.analysis import summarise
 from evogymcm.algos.baselines import load_baseline
-from evogymcm.algos.codesign import BodyPPOConfig, Design, score_alone, train_designs
-from evogymcm.algos.codesign.inner_loop import Policy
-from evogymcm.algos.learning import PPOConfig, Progress, TrainConfig, train
-from evogymcm.algos.learning.bodies import N_HELD_OUT, held_out_bodies
-from evogymcm.algos.learning.initial import following
-from evogymcm.algos.learning.transfer import carried_over
-from evogymcm.algos.runs import RunFolder, RunRecord, load_policy
-from evogymcm.envs import SoftRobotEnv
+from evogymcm.algos.codesign import BodyPPOConfig
+from evogymcm.algos.gaits import GaitConfig
+from evogymcm.algos.gaits.search import trial_lengths
+from evogymcm.algos.learning import PPOConfig, TrainConfig
+from evogymcm.algos.learning.bodies import N_HELD_OUT
 
-SHAPE = (5, 5)
-BASELINE, FRESH, SPECIALISTS = "baseline", "fresh", "specialists"
-LEARNT: Mapping[str, Mapping[str, Any]] = {  # arms that train one policy -> settings that differ
-    "stream": {},
-    **{f"pool-{count}": {"pool": count} for count in (32, 64, 256)},
-    **{f"context-{kind}": {"context": kind} for kind in ("none", "message", "attention")},
-}
-ARMS = (*LEARNT, BASELINE, FRESH, SPECIALISTS)
-UNSEEN, IDLE, TUNED, ALONE = "zero-shot", "stiffness 1", "fine-tuned", "alone"  # kinds of scores
-_STARTS = 8  # of a robust score
+ARMS = (*LEARNT, FIVE, BASELINE, FRESH, GAITS, SPECIALISTS)
 
 
 @dataclass(frozen=True)
@@ -44,7 +47,8 @@ class Universal(Comparison):
     stream with another knowledge of the body; "baseline" is the one that comes with the package. Each is scored as it
     is ("zero-shot"), in the reactive setting also with its stiffness replaced by 1, and after fine-tuning on each of
     the first bodies by itself. "fresh" and "specialists" train a network for each of these bodies from fresh weights,
-    for as long as fine-tuning lasts, and for long.
+    for as long as fine-tuning lasts, and for long; "gaits" searches an open-loop gait for each, for as long as
+    fine-tuning lasts. "five" trains one policy on five random bodies, and is scored on these too.
 
     Scores are robust ones, of the last policy. Intervals are bootstrap intervals (95 %) of the mean over bodies.
 
@@ -70,8 +74,8 @@ class Universal(Comparison):
             total_steps=10_000_000,
             num_worlds=512,
             minibatch=2048,
-            epochs=1,
-            learning_rate=3e-3,
+            learning_rate=2e-3,
+            advantage_scale="world",
             hidden=64,
             eval_interval=500_000,
         )
@@ -89,6 +93,9 @@ class Universal(Comparison):
         for name in ("finetune_steps", "specialist_steps"):
             if getattr(self, name) < 1:
                 raise ValueError(f"{name}: got {getattr(self, name)}, must be at least 1")
+        if GAITS in self.arms:
+            for task in self.tasks:
+                trial_lengths(task, GaitConfig(env_steps=self.finetune_steps))  # are there env-steps enough?
         if BASELINE in self.arms:
             for task in self.tasks:
                 load_baseline(task, self.material)  # is there one?
@@ -102,7 +109,8 @@ class Universal(Comparison):
     def steps_per_run(self) -> int:
         """The most env-steps of a run, but for whole rollouts."""
         tuned = self.trained_on * self.finetune_steps
-        steps = {SPECIALISTS: self.trained_on * self.specialist_steps, BASELINE: tuned, FRESH: tuned}
+        steps = {SPECIALISTS: self.trained_on * self.specialist_steps, FIVE: self.ppo.total_steps}
+        steps |= dict.fromkeys((BASELINE, FRESH, GAITS), tuned)
         return max(steps.get(arm, self.ppo.total_steps + tuned) for arm in self.arms)
 
     def job(self, task: str, arm: str, seed: int) -> "UniversalJob":
@@ -111,6 +119,9 @@ class Universal(Comparison):
 
     def training(self, task: str, arm: str, seed: int) -> TrainConfig:
         """Returns the settings of the training of one policy."""
+        if arm == FIVE:
+            texts = tuple(body.text for body in five_bodies())
+            return TrainConfig(task, texts, self.material, ppo=replace(self.ppo, seed=seed), initial="fresh")
         changes = dict(LEARNT[arm])
         pool = changes.pop("pool", None)
         ppo = replace(self.ppo, seed=seed, eval_worlds=self.bodies, **changes)
@@ -126,7 +137,7 @@ class Universal(Comparison):
         """Returns one row a task and arm over its finished runs, with the means over seeds of each body's scores."""
         rows = []
         for task, arm, group in self.groups([run for run in runs if run["finished"]]):
-            kinds = [kind for kind in (UNSEEN, IDLE, TUNED, ALONE) if kind in group[0]["scores"]]
+            kinds = [kind for kind in (UNSEEN, IDLE, TUNED, ALONE, OWN) if kind in group[0]["scores"]]
             of_bodies = {kind: np.mean([run["scores"][kind] for run in group], 0).tolist() for kind in kinds}
             row: Record = {"task": task, "arm": arm, "seeds": len(group), "scores": of_bodies}
             row["env_steps"] = mean(run["env_steps"] for run in group)
@@ -137,6 +148,8 @@ class Universal(Comparison):
     def table(self, rows: Sequence[Record]) -> str:
         """Returns what policies are worth on unseen bodies, beside specialists, and what stiffness control adds."""
         parts = [table(_lines(rows, self.trained_on))]
+        if own := [row for row in rows if OWN in row["scores"]]:
+            parts.append(table([("of the five bodies it was trained on", "arm", "score", "each"), *map(_own, own)]))
         gains = [_gain(row) for row in rows if IDLE in row["scores"]]
         if gains:
             head = ("stiffness control on unseen bodies", "arm", "score", "with stiffness 1", "difference", "better on")
@@ -163,6 +176,12 @@ def _lines(rows: Sequence[Record], n: int) -> list[Sequence[str]]:
     return lines
 
 
+def _own(row: Record) -> Sequence[str]:
+    """What a policy is worth on the bodies that it was trained on."""
+    scores = row["scores"][OWN]
+    return (row["task"], row["arm"], f"{mean(scores):.2f}", " ".join(f"{score:.2f}" for score in scores))
+
+
 def _mean(values: Sequence[float] | None) -> str:
     if not values:
         return ""
@@ -176,95 +195,6 @@ def _gain(row: Record) -> Sequence[str]:
     found, better = summarise((own - idle).tolist()), int((own > idle).sum())
     difference = with_interval(found.mean, (found.low, found.high), "+.2f")
     return (row["task"], row["arm"], f"{own.mean():.2f}", f"{idle.mean():.2f}", difference, f"{better} of {len(own)}")
-
-
-@dataclass(frozen=True)
-class UniversalJob:
-    """One arm on one task with one seed."""
-
-    experiment: Universal
-    task: str
-    arm: str
-    seed: int
-
-    @property
-    def name(self) -> str:
-        """Name of the run's folder."""
-        return f"{self.task}-{self.arm}-seed{self.seed}"
-
-    def run(self, folder: Path, resume: bool, tell: Tell, should_stop: Callable[[], bool]) -> Record:
-        """Trains and scores in `folder / name` and returns all numbers of the run."""
-        run = RunFolder(folder / self.name, asdict(self), resume=resume)
-        if known := run.read_json("result.json"):  # which is written at the end only
-            return dict(known)
-        record: Record = {"task": self.task, "label": self.arm, "seed": self.seed, "finished": False, "curve": []}
-        record |= {"env_steps": 0, "seconds": 0.0, "scores": {}}
-        scores: dict[str, list[float]] = record["scores"]
-        policy: Policy | None = None
-        if self.arm in LEARNT:
-            record |= self._learn(run.path / "policy", resume, tell, should_stop)
-            if not record.pop("is_learnt"):
-                return record
-            policy = load_policy(run.path / "policy" / "final.pt").state
-        elif self.arm == BASELINE:
-            policy = load_baseline(self.task, self.experiment.material).state
-        if policy is not None:
-            policy = {name: policy[name] for name in ("form", "actor", "critic")}
-            scores[UNSEEN] = self._score([policy] * self.experiment.bodies)
-            if self.experiment.material == "reactive":
-                idle = self._without_stiffness(policy)
-                scores[IDLE] = self._score([idle] * self.experiment.bodies, "invariant")
-        before, ppo = record["env_steps"], self.experiment.of_body(self.arm, self.seed)
-        place = RunFolder(run.path / "bodies", {"policies": self.arm}, resume=resume)
-        trained = train_designs(
-            self._make_env(self.experiment.material),
-            self._designs(self.experiment.trained_on),
-            ppo if policy is None else following(ppo, policy),
-            run=place,
-            initial=None if policy is None else [policy] * self.experiment.trained_on,
-            progress=lambda state: tell(before + state.env_steps, state.row.get("score")),
-            should_stop=should_stop,
-        )
-        if trained.finished:
-            scores[ALONE if policy is None else TUNED] = self._score(trained.last)
-            last = place.rows()[-1]
-            record |= {name: record[name] + last[name] for name in ("env_steps", "seconds")}
-            record["finished"] = True
-            run.write_json("result.json", record)
-        return record
-
-    def _learn(self, folder: Path, resume: bool, tell: Tell, should_stop: Callable[[], bool]) -> Record:
-        """Trains one policy for all bodies, and returns what is to be told of that."""
-        settings = self.experiment.training(self.task, self.arm, self.seed)
-        run = RunFolder(folder, asdict(settings), resume=resume)
-
-        def progress(state: Progress) -> None:
-            tell(state.env_steps, state.row.get("score"))
-
-        result = train(settings, run=run, progress=progress, should_stop=should_stop, num_threads=1)
-        told = RunRecord.read(folder).as_dict()
-        kept = {name: told[name] for name in ("curve", "env_steps", "seconds")}
-        return kept | {"is_learnt": result.finished}
-
-    def _make_env(self, material: Material) -> partial[SoftRobotEnv]:
-        return partial(SoftRobotEnv, self.task, material=material, num_threads=1, grid_shape=SHAPE)
-
-    def _without_stiffness(self, policy: Policy) -> Policy:
-        """Returns the policy of the invariant setting that has the actuation of one that sets stiffness too."""
-        env = self._make_env("invariant")(bodies=held_out_bodies(SHAPE, 1), num_worlds=1)
-        try:
-            return carried_over(policy, env)
-        finally:
-            env.close(raise_if_closed=False)
-
-    def _designs(self, count: int) -> list[Design]:
-        return [Design(body) for body in held_out_bodies(SHAPE, count)]
-
-    def _score(self, policies: Sequence[Policy], material: Material | None = None) -> list[float]:
-        """Returns the robust score of each of the first bodies under its policy."""
-        make_env = self._make_env(material or self.experiment.material)
-        found = score_alone(make_env, self._designs(len(policies)), policies, starts=_STARTS)
-        return found.robust.tolist()  # type: ignore[no-any-return]
 
 
 _SHORT = replace(Universal().ppo, total_steps=3_000_000, eval_interval=250_000)

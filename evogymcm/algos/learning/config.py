@@ -24,6 +24,7 @@ Network = Literal["voxel", "mlp"]
 Context = Literal["none", "body", "message", "attention"]
 Sharing = Literal["shared", "independent"]
 Selection = Literal["score", "robust"]
+AdvantageScale = Literal["batch", "world"]
 CONTEXTS = get_args(Context)
 FRESH, BASELINE, AUTO = "fresh", "baseline", "auto"
 INITIAL = FRESH  # what training and co-design begin with by default
@@ -61,6 +62,8 @@ class PPOConfig:
         decay_learning_rate: whether the learning rate falls linearly to zero at the end.
         gamma: discount per env-step.
         gae_lambda: lambda of the generalised advantage estimate.
+        advantage_scale: what advantages are divided by: their spread over the whole "batch", or a mean of that and of
+            their spread in each "world", so that bodies that hardly move count beside those that go far.
         clip: how far the probability ratio may move from 1.
         entropy_weight: weight of the exploration bonus (entropy before clipping, summed over voxels and heads).
         value_weight: weight of the critic's squared error.
@@ -102,6 +105,7 @@ class PPOConfig:
     decay_learning_rate: bool = True
     gamma: float = 0.99
     gae_lambda: float = 0.95
+    advantage_scale: AdvantageScale = "batch"
     clip: float = 0.2
     entropy_weight: float = 1e-4
     value_weight: float = 0.5
@@ -135,6 +139,8 @@ class PPOConfig:
         if not begin < end:
             raise ValueError(f"schedule: got {self.schedule}, expected two rising shares from 0 to 1")
         object.__setattr__(self, "schedule", (begin, end))
+        if self.advantage_scale == "world" and self.rollout_steps == 1:
+            raise ValueError("advantage_scale: got 'world', whose spread in a world needs rollout_steps of at least 2")
         check_selection(self.selection, self.eval_starts)
 
     @property

@@ -98,7 +98,10 @@ class PPOLearner:
             self.gae(outcome)  # over (worlds, steps): time must still be the last dimension
         targets = outcome["value_target"]
         explained = 1 - (targets - values).var() / targets.var().clamp_min(1e-12)
-        advantage = self._rows(outcome["advantage"])
+        advantage = outcome["advantage"]
+        if self.config.advantage_scale == "world":
+            advantage = evened(advantage, self.copies)
+        advantage = self._rows(advantage)
         spread = advantage.std(-2, keepdim=True).clamp_min(1e-6)
         samples["advantage"] = (advantage - advantage.mean(-2, keepdim=True)) / spread
         samples["value_target"] = self._rows(targets)
@@ -151,6 +154,19 @@ class PPOLearner:
         self.actor.load_state_dict(state["actor"])
         self.critic.load_state_dict(state["critic"])
         self.optimizer.load_state_dict(state["optimizer"])
+
+
+def evened(advantage: Tensor, copies: int | None) -> Tensor:
+    """Returns advantages divided by the root of the mean of two variances: that of all worlds, and each world's own.
+
+    Args:
+        advantage: (worlds, steps, 1).
+        copies: D designs that learn by themselves, world w having design w % D; None where all worlds learn together.
+    """
+    worlds = advantage.squeeze(-1).unflatten(0, (-1, copies or 1))  # (n, D, steps)
+    own = worlds.var(-1, keepdim=True)
+    scale = ((own + worlds.var((0, 2), keepdim=True)) / 2).sqrt().clamp_min(1e-6)
+    return ((worlds - worlds.mean((0, 2), keepdim=True)) / scale).reshape(advantage.shape)
 
 
 @torch.no_grad()

@@ -31,11 +31,12 @@ def present_settings(config: Mapping[str, Any]) -> Mapping[str, Any]:
 
 
 def _with_starts(config: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Returns settings of PPO or co-design, or those that hold some, as earlier versions had them: with one start, and
-    a generation in one piece.
+    """Returns settings of PPO or co-design, or those that hold some, as earlier versions had them: with one start,
+    a generation in one piece, and advantages scaled all alike.
     """  # noqa: D205
     inner = {name: _with_starts(config[name]) for name in ("ppo",) if isinstance(config.get(name), Mapping)}
     has_starts = config.keys() & {"eval_interval", "budget"}
     former: dict[str, Any] = {"eval_starts": 1, "selection": "score"} if has_starts else {}
     former |= {"piece": None} if "budget" in config else {}
+    former |= {"advantage_scale": "batch"} if "eval_interval" in config else {}
     return former | dict(config) | inner

@@ -7,6 +7,7 @@ import torch
 from tensordict import TensorDict
 
 from evogymcm.algos import PPOConfig, PPOLearner, make_actor, make_critic
+from evogymcm.algos.learning.ppo import evened
 from tests.algos.toy_env import ToyEnv, ToyTask
 
 CONFIG = PPOConfig(num_worlds=3, rollout_steps=12, epochs=3, minibatch=18, hidden=8, target_kl=0.0, gamma=0.9)
@@ -53,6 +54,29 @@ def test_advantages_bootstrap_where_time_ran_out_and_only_there(rollout, ending)
     torch.testing.assert_close(samples["value_target"].reshape(3, 12, 1), target, atol=1e-5, rtol=1e-4)
     expected = (advantage - advantage.mean()) / advantage.std()
     torch.testing.assert_close(samples["advantage"].reshape(3, 12, 1), expected, atol=1e-3, rtol=1e-3)
+
+
+def test_advantages_scaled_by_world_are_those_over_the_mean_of_both_variances(rollout):
+    rollout["next", "reward"][0] *= 50.0  # the world of a body that goes far
+    learner = _learner(replace(CONFIG, advantage_scale="world"))
+    samples, _ = learner._samples(rollout)
+    advantage, target = _gae_by_hand(learner, rollout)
+    torch.testing.assert_close(samples["value_target"].reshape(3, 12, 1), target, atol=1e-4, rtol=1e-4)
+    scaled = torch.stack(
+        [(world - advantage.mean()) / ((world.var() + advantage.var()) / 2).sqrt() for world in advantage]
+    )
+    expected = (scaled - scaled.mean()) / scaled.std()
+    torch.testing.assert_close(samples["advantage"].reshape(3, 12, 1), expected, atol=1e-3, rtol=1e-3)
+    plain = _learner()._samples(rollout)[0]["advantage"].reshape(3, 12, 1)
+    assert expected[1:].std() > 1.2 * plain[1:].std()  # the others count for more
+
+
+def test_designs_that_learn_side_by_side_are_scaled_each_by_itself():
+    advantage = torch.randn(6, 5, 1, generator=torch.Generator().manual_seed(0))
+    advantage[1::2] *= 30  # worlds of the second of two designs
+    both, alone = evened(advantage, 2), evened(advantage[::2], None)
+    torch.testing.assert_close(both[::2], alone)
+    torch.testing.assert_close(both[1::2], evened(advantage[1::2], None))
 
 
 def test_update_does_not_change_the_rollout(rollout):

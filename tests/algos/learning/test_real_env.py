@@ -136,6 +136,8 @@ def test_starts_that_no_evaluation_can_have_are_refused_before_training():
         Trainer(stream, SEVERAL)
     with pytest.raises(ValueError, match=r"selection: got 'robust', .* needs eval_starts of at least 2"):
         PPOConfig(selection="robust")
+    with pytest.raises(ValueError, match=r"advantage_scale: got 'world', .* needs rollout_steps of at least 2"):
+        PPOConfig(advantage_scale="world", rollout_steps=1)
 
 
 @pytest.mark.slow
