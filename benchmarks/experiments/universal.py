@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from math import inf
 from pathlib import Path
 from statistics import mean
 from typing import get_args
@@ -57,6 +58,8 @@ class Universal(Comparison):
         bodies: unseen bodies to score on, the first of those that all runs have.
         trained_on: how many of them are trained on, one by one, in fine-tuning and for specialists.
         finetune_steps: env-steps of that on each.
+        finetune_rate: learning rate of fine-tuning at the start.
+        finetune_std: exploration of fine-tuning at the start, in half ranges of the action.
         specialist_steps: env-steps of each specialist.
         ppo: settings of the training of one policy; its seed comes from `seeds`.
     """
@@ -68,6 +71,8 @@ class Universal(Comparison):
     bodies: int = N_HELD_OUT
     trained_on: int = 16
     finetune_steps: int = 50_000
+    finetune_rate: float = 1e-3
+    finetune_std: float = 0.5
     specialist_steps: int = 1_000_000
     ppo: PPOConfig = field(
         default_factory=lambda: PPOConfig(
@@ -93,6 +98,9 @@ class Universal(Comparison):
         for name in ("finetune_steps", "specialist_steps"):
             if getattr(self, name) < 1:
                 raise ValueError(f"{name}: got {getattr(self, name)}, must be at least 1")
+        for name in ("finetune_rate", "finetune_std"):
+            if not 0 < getattr(self, name) < inf:
+                raise ValueError(f"{name}: got {getattr(self, name)}, must be above 0")
         if GAITS in self.arms:
             for task in self.tasks:
                 trial_lengths(task, GaitConfig(env_steps=self.finetune_steps))  # are there env-steps enough?
@@ -128,10 +136,12 @@ class Universal(Comparison):
         return TrainConfig(task, material=self.material, random_bodies=SHAPE, pool=pool, ppo=ppo, initial="fresh")
 
     def of_body(self, arm: str, seed: int) -> BodyPPOConfig:
-        """Returns the settings of training on one body: fresh networks, or fine-tuning from where schedules ended."""
+        """Returns the settings of training on one body, with fresh networks or from a policy of many bodies."""
         steps = self.specialist_steps if arm == SPECIALISTS else self.finetune_steps
         config = BodyPPOConfig(total_steps=steps, eval_interval=0, seed=seed)
-        return config if arm in (FRESH, SPECIALISTS) else replace(config.finetuning(steps), eval_interval=0)
+        if arm in (FRESH, SPECIALISTS):
+            return config
+        return replace(config, learning_rate=self.finetune_rate, initial_std=self.finetune_std)
 
     def summarise(self, runs: Sequence[Record]) -> list[Record]:
         """Returns one row a task and arm over its finished runs, with the means over seeds of each body's scores."""

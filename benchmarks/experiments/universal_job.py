@@ -16,7 +16,7 @@ from evogymcm.algos.codesign.scoring import score_gaits, score_together
 from evogymcm.algos.gaits import GaitConfig, search_gaits
 from evogymcm.algos.learning import Progress, train
 from evogymcm.algos.learning.bodies import held_out_bodies
-from evogymcm.algos.learning.initial import following
+from evogymcm.algos.learning.initial import exploring, following
 from evogymcm.algos.learning.transfer import carried_over
 from evogymcm.algos.runs import RunFolder, RunRecord, load_policy
 from evogymcm.algos.runs.policies import SavedPolicy
@@ -95,7 +95,7 @@ class UniversalJob:
             self._designs(self.experiment.trained_on),
             ppo if policy is None else following(ppo, policy),
             run=place,
-            initial=None if policy is None else [policy] * self.experiment.trained_on,
+            initial=None if policy is None else [exploring(policy, ppo.initial_std)] * self.experiment.trained_on,
             progress=lambda state: tell(before + state.env_steps, state.row.get("score")),
             should_stop=should_stop,
         )

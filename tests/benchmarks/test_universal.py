@@ -64,6 +64,8 @@ def test_one_policy_is_scored_on_unseen_bodies_with_its_stiffness_and_without(wh
     assert record["scores"][IDLE] != record["scores"][UNSEEN]
     tuned = RunFolder.open(run_folder / "bodies").load("final")["actor"]["heads.weight"]
     assert not torch.equal(tuned[0], tuned[1])
+    first = RunFolder.open(run_folder / "bodies").load("best")["actor"]["log_std"]
+    assert first.max() > policy["actor"]["log_std"].max()  # it explores again
 
 
 @pytest.mark.slow
@@ -120,7 +122,9 @@ def test_other_networks_learn_one_body_each_for_as_long_as_fine_tuning_or_longer
     experiment = tiny("specialists", "fresh", "stream")
     tuned, alone, long = (experiment.of_body(arm, 1) for arm in ("stream", "fresh", "specialists"))
     assert (tuned.total_steps, alone.total_steps, long.total_steps) == (600, 600, 900)
-    assert (tuned.initial_std, tuned.learning_rate) == (alone.final_std, alone.learning_rate / 4)
+    assert (tuned.initial_std, tuned.learning_rate) == (0.5, alone.learning_rate)
+    careful = tiny("stream", finetune_rate=2e-4, finetune_std=0.3).of_body("stream", 1)
+    assert (careful.initial_std, careful.learning_rate) == (0.3, 2e-4)
     assert experiment.training("Walker-v0", "pool-32", 1).pool == 32
     assert experiment.training("Walker-v0", "context-attention", 1).ppo.context == "attention"
 
@@ -132,6 +136,8 @@ def test_other_networks_learn_one_body_each_for_as_long_as_fine_tuning_or_longer
         ({"trained_on": 1}, "got 1 and 3"),
         ({"bodies": 65}, "got 2 and 65"),
         ({"finetune_steps": 0}, "finetune_steps: got 0"),
+        ({"finetune_rate": 0.0}, "finetune_rate: got 0"),
+        ({"finetune_std": float("nan")}, "finetune_std: got nan"),
         ({"ppo": replace(PPO, seed=3)}, r"ppo.seed: got 3"),
         ({"arms": ("streams",)}, "arms: got"),
     ],
