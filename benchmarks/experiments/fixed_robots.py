@@ -17,7 +17,8 @@ from benchmarks.experiments.training import TrainingJob, best_score, first_at
 from benchmarks.experiments.tuned import TUNED
 from evogymcm.algos.analysis import coverage, difference, improvement, interquartile_mean, normalise, summarise
 from evogymcm.algos.learning import PPOConfig, TrainConfig
-from evogymcm.algos.learning.config import Material
+from evogymcm.algos.learning.config import FRESH, Material
+from evogymcm.algos.learning.initial import find_initial
 
 KINDS = {"final": "final score", "best": "best in training"}  # scores of a run that are compared
 Pairs = Mapping[str, tuple[Record, Record]]  # task -> rows of both arms
@@ -32,6 +33,7 @@ class FixedRobots(Comparison):
 
     Attributes:
         tuned: whether tasks have the settings of their own that are known to be better for them (`tuned.py`).
+        initial: what weights are at first, see `TrainConfig`; fresh, as in the paper, by default.
         ppo: settings of each run; its seed comes from `seeds`.
     """
 
@@ -39,12 +41,16 @@ class FixedRobots(Comparison):
     arms: tuple[str, ...] = tuple(FIXED_ARMS)
     seeds: tuple[int, ...] = (0, 1, 2, 3, 4)
     tuned: bool = False
+    initial: str = FRESH
     ppo: PPOConfig = field(default_factory=PPOConfig)
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.ppo.seed:
             raise ValueError(f"ppo.seed: got {self.ppo.seed}, here it comes from seeds")
+        for material in FIXED_ARMS.values():
+            for task in self.tasks:
+                find_initial(self.initial, task, material, self.ppo)  # is there one?
 
     @property
     def allowed_arms(self) -> tuple[str, ...]:
@@ -61,7 +67,7 @@ class FixedRobots(Comparison):
         if self.tuned and task in TUNED:
             changes = {**TUNED[task].ppo, **changes}
         ppo = replace(self.ppo, seed=seed, **changes)
-        return TrainConfig(task, (PAPER[task].robot,), material, ppo=ppo, initial="fresh")  # as in the paper
+        return TrainConfig(task, (PAPER[task].robot,), material, ppo=ppo, initial=self.initial)
 
     def job(self, task: str, arm: str, seed: int) -> TrainingJob:
         """Returns one run."""

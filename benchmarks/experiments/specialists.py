@@ -58,7 +58,7 @@ class SpecialistsOfEvolution(Comparison):
     arms: tuple[str, ...] = (CONTROL,)
     seeds: tuple[int, ...] = (0, 1, 2, 3, 4)
     evolve: EvolveConfig = field(default_factory=lambda: EvolveConfig(max_env_steps=2_000_000, num_threads=1))
-    specialists: SpecialistConfig = field(default_factory=lambda: SpecialistConfig(count=2))
+    specialists: SpecialistConfig = field(default_factory=lambda: SpecialistConfig(count=2, initial="fresh"))
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -134,5 +134,5 @@ SIZES = {
         ("AreaMinimizer-v0",), seeds=(0,), evolve=EvolveConfig(max_env_steps=100_000, num_threads=1)
     ),
     "small": SpecialistsOfEvolution(),
-    "paper": SpecialistsOfEvolution(specialists=replace(SpecialistConfig(), count=8)),
+    "paper": SpecialistsOfEvolution(specialists=replace(SpecialistConfig(), count=8, initial="fresh")),
 }

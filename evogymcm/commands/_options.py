@@ -142,6 +142,18 @@ def how_to_resume(command: str, arguments: Sequence[str]) -> str:
     return shlex.join(["evogymcm", command, *kept, "--resume"])
 
 
+def print_beginning(run: "RunFolder") -> None:
+    """Says what training began with."""
+    from evogymcm.algos.runs import RunRecord
+
+    initial = RunRecord.read(run.path).initial
+    words = {
+        "fresh": "random weights",
+        "baseline": "the package's policy for the task (--initial fresh: random weights)",
+    }
+    print(f"begun   with {words.get(str(initial), initial)}")
+
+
 class Bar:
     """A progress bar of env-steps on stderr; rate and time left are those of this sitting.
 

@@ -17,6 +17,7 @@ from evogymcm.commands._options import (
     checking_arguments,
     how_to_resume,
     open_run,
+    print_beginning,
     work_lines,
     write_stiffness,
 )
@@ -137,6 +138,7 @@ def run(options: Options, arguments: Sequence[str]) -> int:
             bar.show(result.env_steps, {"best": f"{result.best.fitness:.3f}"})
     if result.best is not None:
         _print_best(config, result, folder.path)
+        print_beginning(folder)
     if result.finished:
         return 0
     print(f"stopped after {result.env_steps:,} env-steps; to go on:\n  {how_to_resume('codesign', arguments)}")

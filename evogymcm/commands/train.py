@@ -21,6 +21,7 @@ from evogymcm.commands._options import (
     how_to_resume,
     make_logger,
     open_run,
+    print_beginning,
     read_stiffness,
     show_training,
     work_lines,
@@ -62,8 +63,8 @@ class Options:
         work_weight: what a unit of supplied work costs in reward, or one number for actuation and one for stiffness; 0
             has it measured.
         initial: what the weights are at first: "fresh", the package's "baseline" ("baseline:TASK" or
-            "baseline:TASK:MATERIAL" for another's), "auto" (the baseline where there is one), or the policy of a run.
-            Exploration begins with `initial_std` in any case.
+            "baseline:TASK:MATERIAL" for another's), "auto" (the baseline where there is one and bodies are given), or
+            the policy of a run. Exploration begins with `initial_std` in any case.
         run: folder of the run.
         resume: continue the run in the folder.
         overwrite: replace the run in the folder.
@@ -114,6 +115,7 @@ def run(options: Options, arguments: Sequence[str]) -> int:
         print(f"stopped after {result.env_steps:,} env-steps; to go on:\n  {how_to_resume('train', arguments)}")
         return INTERRUPTED
     _print_result(result, config.bodies or ("random bodies",), folder.path)
+    print_beginning(folder)
     return 0
 
 

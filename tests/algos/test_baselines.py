@@ -17,7 +17,7 @@ from benchmarks.store_baseline import LARGEST, command_of, read_config, store
 from evogymcm.__main__ import _parse
 from evogymcm.algos import PPOConfig, RunFolder, RunRecord, TrainConfig, evaluate, load_policy, train
 from evogymcm.algos.baselines import FOLDER, load_baseline
-from evogymcm.algos.codesign import BodyPPOConfig, CodesignConfig, codesign
+from evogymcm.algos.codesign import BodyPPOConfig, CodesignConfig, SpecialistConfig, codesign
 from evogymcm.algos.learning.bodies import held_out_bodies
 from evogymcm.algos.learning.training import make_trainer
 from evogymcm.commands.train import _config
@@ -176,8 +176,16 @@ def test_training_begins_with_a_baseline_a_path_or_afresh(sprint_baseline, sprin
         assert record.initial == told
         assert RunRecord.from_dict(record.as_dict()).initial == told
         assert (result.rows[0]["score"] == score) == (told != "fresh" and "best" not in told)
-    train(replace(config, initial="fresh"), initial=load_policy("warm").state, run="given", num_threads=1)
+    stream = TrainConfig(sprint, random_bodies=(2, 3), ppo=replace(TINY, eval_worlds=2))
+    train(stream, run="stream", num_threads=1)
+    assert RunRecord.read("stream").initial == "fresh"  # where it may become the next baseline
+    train(replace(stream, initial="baseline"), run="on", num_threads=1)
+    assert RunRecord.read("on").initial == "baseline"
+    train(replace(config, initial="auto"), initial=load_policy("warm").state, run="given", num_threads=1)
     assert RunRecord.read("given").initial == "policy"
+    with pytest.raises(ValueError, match="initial: got a policy, and 'fresh' in the settings too"):
+        train(replace(config, initial="fresh"), initial=load_policy("warm").state)
+    assert TrainConfig(sprint).initial == "auto" == CodesignConfig().initial == SpecialistConfig().initial
 
 
 def test_what_cannot_begin_is_refused_before_any_work(sprint_baseline, sprint):
@@ -237,7 +245,7 @@ def test_training_begins_with_what_was_learned_in_another_task_or_setting(sprint
 
 
 def test_runs_of_before_go_on_as_fresh_ones(sprint):
-    config = TrainConfig(sprint, BODY, ppo=replace(TINY, hidden=8))
+    config = TrainConfig(sprint, BODY, ppo=replace(TINY, hidden=8), initial="fresh")
     whole = train(config, run="run", num_threads=1)
     path = Path("run/config.json")
     settings = json.loads(path.read_text())

@@ -35,6 +35,13 @@ def test_the_papers_robots_stand_on_their_tasks():
     assert {row.robot: task for task, row in PAPER.items()}.items() <= dict(robot_tasks).items()
 
 
+def test_runs_begin_afresh_as_in_the_paper_or_with_what_is_asked_for():
+    assert A.settings("Walker-v0", "reactive", 1).initial == "fresh"
+    assert FixedRobots(initial="auto").settings("Walker-v0", "reactive", 1).initial == "auto"
+    with pytest.raises(ValueError, match=r"policy: no-such has none of"):
+        FixedRobots(initial="no-such")
+
+
 def cells(text):
     """The cells of all tables of a text, table by table."""
     tables = [part.splitlines() for part in text.split("\n\n") if part.startswith("|")]

@@ -47,10 +47,13 @@ def test_train_and_codesign_begin_with_what_is_asked_for(sprint, capsys):
     size = ["--total-steps", "64", "--num-worlds", "4", "--rollout-steps", "8"]
     train = ["train", sprint, "--body", BODY, *size, "--initial"]
     assert main([*train, "baseline", "--run", "one"]) == 0
-    assert main([*train, "auto", "--run", "two"]) == 0
+    assert "begun   with the package's policy" in capsys.readouterr().out
+    assert main([*train[:-1], "--run", "two"]) == 0
     assert main([*train, "universal/best.pt", "--run", "three"]) == 0
     began = [json.loads(Path(name, "result.json").read_text())["initial"] for name in ("one", "two", "three")]
     assert began == ["baseline", "baseline", "universal/best.pt"]
+    assert main([*train, "fresh", "--run", "four"]) == 0
+    assert "begun   with random weights" in capsys.readouterr().out
     assert main([*train, "baseline", "--run", "one", "--resume"]) == 0
     assert "hidden: got 4" in refused(capsys, *train, "baseline", "--hidden", "4", "--run", "new")
     evolve = ["codesign", sprint, "--population", "2", "--budget", "2", "--shape", "2", "2", "--initial", "baseline"]

@@ -27,7 +27,7 @@ Selection = Literal["score", "robust"]
 AdvantageScale = Literal["batch", "world"]
 CONTEXTS = get_args(Context)
 FRESH, BASELINE, AUTO = "fresh", "baseline", "auto"
-INITIAL = FRESH  # what training and co-design begin with by default
+INITIAL = AUTO  # what training and co-design begin with by default
 
 DEVICES = ("cpu", "cuda", "mps", "xpu", "meta")  # kinds, of which "cuda:1" is one; "meta" computes nothing
 _BOUNDS: dict[str, dict[str, float]] = {  # counts without any: from 1
@@ -188,9 +188,9 @@ class TrainConfig:
         ppo: Settings of PPO.
         initial: What the weights of actor and critic are at first: "fresh", the package's "baseline" (`baseline`; of
             another task "baseline:TASK", and of another setting "baseline:TASK:MATERIAL"), "auto" (the baseline where
-            there is one of this form, else fresh), or a policy of a run as `load_policy` takes it. One of another task
-            or setting acts as there at first. Exploration begins with `ppo.initial_std` in any case. The networks are
-            then of the policy's form: leave `network`, `hidden` and `context` out.
+            there is one of this form and bodies are given, else fresh), or a policy of a run as `load_policy` takes it.
+            One of another task or setting acts as there at first. Exploration begins with `ppo.initial_std` in any
+            case. The networks are then of the policy's form: leave `network`, `hidden` and `context` out.
 
     Raises:
         ValueError: A value is of the wrong kind or out of range; bodies or stiffness do not fit.

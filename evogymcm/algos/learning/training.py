@@ -11,7 +11,7 @@ from torchrl.record.loggers import Logger
 
 from evogymcm._messages import brief
 from evogymcm.algos.learning.bodies import RandomBodies
-from evogymcm.algos.learning.config import INITIAL, PPOConfig, TrainConfig
+from evogymcm.algos.learning.config import AUTO, FRESH, INITIAL, PPOConfig, TrainConfig
 from evogymcm.algos.learning.initial import following, initial_policy
 from evogymcm.algos.learning.loop import Progress, TrainResult, train_to_the_end
 from evogymcm.algos.learning.trainer import Trainer
@@ -69,8 +69,7 @@ def train(
     settings, config = asdict(config), config.resolved()
     if initial is not None and config.initial != INITIAL:
         raise ValueError(f"initial: got a policy, and {config.initial!r} in the settings too, expected one of them")
-    where = config.initial, config.task, config.material, config.ppo
-    began, policy = ("policy", initial) if initial is not None else initial_policy(*where)
+    began, policy = ("policy", initial) if initial is not None else _beginning(config)
     with make_trainer(config, num_threads, policy) as trainer:
         if run is None:
             return train_to_the_end(trainer, run=None, **told)
@@ -104,12 +103,18 @@ def train(
     return result
 
 
+def _beginning(config: TrainConfig) -> tuple[str, dict[str, Any] | None]:
+    """Returns what `initial_policy` does; by default, a policy for all bodies begins afresh, as baselines do."""
+    word = FRESH if config.initial == AUTO and config.random_bodies is not None else config.initial
+    return initial_policy(word, config.task, config.material, config.ppo)
+
+
 def make_trainer(
     config: TrainConfig, num_threads: int | None = None, initial: Mapping[str, Any] | None = None
 ) -> Trainer:
     """Returns what trains a policy with these settings, see `train`; ValueError as there."""
     if initial is None:
-        _, initial = initial_policy(config.initial, config.task, config.material, config.ppo)
+        _, initial = _beginning(config)
     ppo = config.ppo if initial is None else following(config.ppo, initial)
     bodies, fields = config.designs()
     make_env = partial(
