@@ -54,6 +54,7 @@ class Options:
             budget=self.population,
             piece=self.piece,
             ppo=BodyPPOConfig(total_steps=self.total_steps),
+            initial="fresh",
         )
 
 

@@ -32,6 +32,7 @@ SMALLER = {  # budgets of the pages, and those of the tests
     "total_steps=100_000, num_worlds=16": "total_steps=32, num_worlds=4, rollout_steps=8, eval_interval=0",
     "SearchConfig(), population=8, budget=32": "SearchConfig(rounds=1), population=2, budget=2",
     "total_steps=500_000, num_worlds=64": "total_steps=64, num_worlds=16, rollout_steps=4",
+    "total_steps=500_000, num_worlds=512, minibatch=2048": "total_steps=64, num_worlds=16, rollout_steps=4",
     "GaitConfig(env_steps=12_000": "GaitConfig(env_steps=2_000",
     **OF_RECIPES,
 }

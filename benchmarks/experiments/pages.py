@@ -10,6 +10,7 @@ from benchmarks.experiments.fixed_robots import FixedRobots
 from benchmarks.experiments.options import parse_command
 from benchmarks.experiments.paper import FIXED_ARMS
 from benchmarks.experiments.tables import table
+from evogymcm.algos.learning.config import FRESH
 
 ROOT = Path(__file__).resolve().parents[2]
 RESULTS, DOCS, README = ROOT / "benchmarks" / "results", ROOT / "docs" / "results.md", ROOT / "README.md"
@@ -53,7 +54,7 @@ def _short(found: Iterable[Mapping[str, Any]]) -> str:
     lines: list[Sequence[str]] = [("", *(f"{arm}: {kind}" for arm in FIXED_ARMS for kind in ("best", "last", "paper")))]
     for results in found:
         experiment = parse_command(results["command"]).experiment
-        if type(experiment) is FixedRobots:
+        if type(experiment) is FixedRobots and experiment.initial == FRESH:  # as in the paper
             rows = {(row["task"], row["arm"]): row for row in experiment.summarise(results["runs"])}
             for task in experiment.tasks:
                 line = [f"{task}, `--tuned`" if experiment.tuned else task]
