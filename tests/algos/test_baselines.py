@@ -181,10 +181,13 @@ def test_training_begins_with_a_baseline_a_path_or_afresh(sprint_baseline, sprin
     assert RunRecord.read("stream").initial == "fresh"  # where it may become the next baseline
     train(replace(stream, initial="baseline"), run="on", num_threads=1)
     assert RunRecord.read("on").initial == "baseline"
-    train(replace(config, initial="auto"), initial=load_policy("warm").state, run="given", num_threads=1)
+    given = {"initial": load_policy("warm").state, "num_threads": 1}
+    train(replace(config, initial="auto"), run="given", **given)
+    train(replace(config, initial="fresh"), run="before", **given)  # as runs are stored whose default that was
+    assert RunRecord.read("before").initial == "policy"
     assert RunRecord.read("given").initial == "policy"
-    with pytest.raises(ValueError, match="initial: got a policy, and 'fresh' in the settings too"):
-        train(replace(config, initial="fresh"), initial=load_policy("warm").state)
+    with pytest.raises(ValueError, match="initial: got a policy, and 'baseline' in the settings too"):
+        train(config, **given)
     assert TrainConfig(sprint).initial == "auto" == CodesignConfig().initial == SpecialistConfig().initial
 
 

@@ -11,7 +11,7 @@ from torchrl.record.loggers import Logger
 
 from evogymcm._messages import brief
 from evogymcm.algos.learning.bodies import RandomBodies
-from evogymcm.algos.learning.config import AUTO, FRESH, INITIAL, PPOConfig, TrainConfig
+from evogymcm.algos.learning.config import AUTO, FRESH, PPOConfig, TrainConfig
 from evogymcm.algos.learning.initial import following, initial_policy
 from evogymcm.algos.learning.loop import Progress, TrainResult, train_to_the_end
 from evogymcm.algos.learning.trainer import Trainer
@@ -67,7 +67,7 @@ def train(
     if old or not isinstance(config, TrainConfig):
         raise ValueError(f"config: got {brief((config, *old))}, expected a TrainConfig")
     settings, config = asdict(config), config.resolved()
-    if initial is not None and config.initial != INITIAL:
+    if initial is not None and config.initial not in (AUTO, FRESH):  # the default, and that of stored runs
         raise ValueError(f"initial: got a policy, and {config.initial!r} in the settings too, expected one of them")
     began, policy = ("policy", initial) if initial is not None else _beginning(config)
     with make_trainer(config, num_threads, policy) as trainer:
