@@ -71,8 +71,10 @@ class WorldCollector(Collector):
         if not state_dict["env"]:
             return
         self.env.load_state_dict(state_dict["env"])
-        carrier = self._carrier
-        self._carrier = TensorDict(state_dict["carrier"], batch_size=carrier.batch_size, device=carrier.device)
+        carrier = self._carrier  # which TorchRL may give no device, though its tensors are on one
+        self._carrier = TensorDict(state_dict["carrier"], batch_size=carrier.batch_size, device=self.env.device)
+        if carrier.device is None:
+            self._carrier.clear_device_()
         self._carrier.update(carrier.select("collector", strict=False))
 
 
