@@ -41,7 +41,8 @@ class Learning(Job):
         material: "invariant" or "reactive".
         ppo: Settings; by default 300,000 env-steps with an evaluation every 10,000.
         initial: A policy to begin with, of this task, or of one with the same features, and any body: "baseline", the
-            folder of a run, one of its files, or a `SavedPolicy`. The network is then of its kind and size.
+            folder of a run, one of its files, or a `SavedPolicy`. The network is then of its kind and size. By default
+            the package's policy of the task, and random weights where there is none.
 
     Raises:
         ValueError: A setting is out of range, the design is not valid, or it cannot begin with that policy.

@@ -25,7 +25,8 @@ _STATES = {
     "killed": "its process was killed",
 }
 _ABOUT = {
-    TRAIN: "PPO trains a policy for this body, in this task. The robot above is moved by the newest policy.",
+    TRAIN: "PPO trains a policy for this body, in this task, from the package's policy where there is one. "
+    "The robot above is moved by the newest policy.",
     MATERIAL: "Searches the voxels' stiffness for a better score under what moves the robot (invariant setting).",
     EVOLVE: "Evolves bodies of this grid's size with their policies, each child from its parent's.",
 }
@@ -193,7 +194,7 @@ class _Training(_View):
         self._steps = ui.number("Env-steps", value=300_000, min=1000, step=10_000, precision=0)
         self._steps.props("dense outlined").classes("w-32").mark("train-steps")
         self._goes_on = ui.checkbox("from the policy above").props("dense").classes("studio-small")
-        self._goes_on.tooltip("Begin with the trained policy that moves the robot, not anew").mark("train-goes-on")
+        self._goes_on.tooltip("Begin with what moves the robot, not with the package's policy").mark("train-goes-on")
 
     def start(self) -> "Job":
         session = self._session
