@@ -1,7 +1,6 @@
 """The learner of a run: rollouts, updates, evaluations, and all the state that resuming needs."""
 
 import copy
-import inspect
 import time
 from collections.abc import Callable, Mapping
 from contextlib import nullcontext
@@ -9,13 +8,13 @@ from typing import Any, Self
 
 import numpy as np
 import torch
-from tensordict import TensorDict, TensorDictBase
-from torchrl.collectors import Collector
+from tensordict import TensorDict
 from torchrl.envs import EnvBase
 from torchrl.record.loggers import Logger
 
 from evogymcm.algos.learning.actor import make_actor
 from evogymcm.algos.learning.bodies import N_HELD_OUT
+from evogymcm.algos.learning.collector import WorldCollector
 from evogymcm.algos.learning.config import PPOConfig
 from evogymcm.algos.learning.critic import make_critic
 from evogymcm.algos.learning.devices import find_device, on_cpu
@@ -41,41 +40,6 @@ def _copies(config: PPOConfig, env: EnvBase) -> int | None:
         if value is not None and value % env.num_designs:
             raise ValueError(f"{name}: got {value}, independent sharing needs a multiple of {env.num_designs} designs")
     return env.num_designs
-
-
-# What TorchRL's collectors do beside collecting and nothing here needs. Versions 0.11 and 0.12 know neither name: they
-# add no transforms, and always number trajectories.
-_WITHOUT = {
-    name: False
-    for name in ("auto_register_policy_transforms", "track_traj_ids")
-    if name in inspect.signature(Collector).parameters
-}
-
-
-class WorldCollector(Collector):
-    """A collector whose state holds the live worlds too, so that a resumed run goes on within its episodes.
-
-    The environment's own state must come with its `state_dict` (`get_extra_state`); without, resuming restarts the
-    episodes.
-    """
-
-    _carrier: TensorDictBase
-
-    def state_dict(self) -> dict[str, Any]:
-        """Returns the environment's state and the policy's next input, on the CPU."""
-        carrier = self._carrier.exclude("collector")  # trajectories' numbers, which not every version of TorchRL has
-        return {"env": dict(self.env.state_dict()), "carrier": on_cpu(carrier.to_dict())}
-
-    def load_state_dict(self, state_dict: dict[str, Any], **kwargs: Any) -> None:
-        """Restores what `state_dict` returned."""
-        if not state_dict["env"]:
-            return
-        self.env.load_state_dict(state_dict["env"])
-        carrier = self._carrier  # which TorchRL may give no device, though its tensors are on one
-        self._carrier = TensorDict(state_dict["carrier"], batch_size=carrier.batch_size, device=self.env.device)
-        if carrier.device is None:
-            self._carrier.clear_device_()
-        self._carrier.update(carrier.select("collector", strict=False))
 
 
 class Trainer:
@@ -135,7 +99,7 @@ class Trainer:
         self.policy = self.actor if copies is None else PerDesign(self.actor, copies)
         self.learner = PPOLearner(self.actor, self.critic, config, self.generator)
         with exploration(True):
-            self.collector = WorldCollector(env, self.policy, frames_per_batch=config.frames_per_update, **_WITHOUT)
+            self.collector = WorldCollector(env, self.policy, config.frames_per_update)
         if is_stream:
             engine_of(env).stagger(self.config.seed)
 
