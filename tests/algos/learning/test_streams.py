@@ -1,6 +1,7 @@
 """Training on a stream of random bodies, judged on bodies that it never sees; and on another device."""
 
 from dataclasses import asdict, replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -140,3 +141,14 @@ def test_learning_on_a_device_is_that_on_the_processor_but_for_rounding(tmp_path
     tolerance = {"rtol": 0, "atol": 0} if device == "cpu" else {"rtol": 1e-2, "atol": 1e-3}
     torch.testing.assert_close(*weights, **tolerance)
     np.testing.assert_allclose(*scores, **tolerance)
+
+
+def test_worlds_are_restored_to_the_device_of_their_environment(monkeypatch):
+    """Torch's device "meta" stands in for a GPU: the tensors of a checkpoint lie on the processor."""
+    with make_trainer(CONFIG, num_threads=1) as trainer:
+        collector, state = trainer.collector, trainer.collector.state_dict()
+        on_meta = SimpleNamespace(device=torch.device("meta"), load_state_dict=trainer._env.load_state_dict)
+        monkeypatch.setattr(collector, "env", on_meta)
+        collector.load_state_dict(state)
+        restored = collector._carrier.exclude("collector")
+    assert {value.device.type for value in restored.values(True, True)} == {"meta"}
