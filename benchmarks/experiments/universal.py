@@ -167,8 +167,9 @@ class Universal(Comparison):
         return "\n\n".join(parts) if rows else ""
 
     def plot(self, runs: Sequence[Record], path: Path) -> None:
-        """Draws the scores of unseen bodies in training, one panel a task."""
-        figures.unseen_curves(runs, self.tasks, [arm for arm in self.arms if arm in LEARNT], path)
+        """Draws the scores of unseen bodies in training, one panel a task; nothing where no arm trains on others."""
+        learnt = [run for run in runs if run["label"] in LEARNT]
+        figures.unseen_curves(learnt, self.tasks, [arm for arm in self.arms if arm in LEARNT], path)
 
 
 def _lines(rows: Sequence[Record], n: int) -> list[Sequence[str]]:
